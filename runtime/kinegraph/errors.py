@@ -1,0 +1,46 @@
+"""Every error kinegraph raises on purpose; catch `KinegraphError` to catch them all.
+
+A message names the value that was wrong, what is allowed, and what to do next.
+"""
+
+from __future__ import annotations
+
+
+class KinegraphError(Exception):
+    """Base of all errors raised on purpose."""
+
+
+class InvalidInputError(KinegraphError, ValueError):
+    """The caller's text, graph or option is outside what the model takes. Nothing has been run."""
+
+
+class InvalidGraphError(InvalidInputError):
+    """A semantic graph breaks the format, or an edit names what does not exist."""
+
+
+class BundleError(KinegraphError):
+    """The bundle cannot be used."""
+
+
+class BundleFormatError(BundleError):
+    """The manifest breaks the format: unknown key, wrong type, wrong version, path outside the folder."""
+
+
+class BundleIntegrityError(BundleError):
+    """A file of the bundle is missing, extra, or differs from the manifest's size or SHA-256."""
+
+
+class MissingExtraError(KinegraphError, ImportError):
+    """An optional dependency is not installed; the message names the extra to install."""
+
+
+class OutputError(KinegraphError, OSError):
+    """The result cannot be written where the caller asked."""
+
+
+class NonFiniteError(KinegraphError, ArithmeticError):
+    """A model produced NaN or infinity; the message names the stage."""
+
+
+class Cancelled(KinegraphError):  # noqa: N818 - it is a decision of the caller, not a failure
+    """`on_step` asked to stop."""

@@ -1,0 +1,17 @@
+"""Bounds on what one call may ask for; beyond them a typed error is raised before any model runs."""
+
+from __future__ import annotations
+
+from typing import Final
+
+MAX_TEXT: Final = 512
+"""Characters of a caption."""
+
+MAX_NODES: Final = 32
+"""Nodes of one semantic graph, the motion node included."""
+
+MAX_FRAMES: Final = 196
+"""Frames of one generated clip (HumanML3D's limit; 9.8 s at 20 frames per second)."""
+
+MAX_CONCEPTS: Final = 8
+"""Concepts of one composition."""
