@@ -1,1 +1,1 @@
-"""diffusion"""
+"""The maths of sampling: pure functions on numpy arrays."""

@@ -1,1 +1,1 @@
-"""formats"""
+"""Files a clip can be saved as, by suffix."""

@@ -1,1 +1,1 @@
-"""motion"""
+"""Motion as joints: skeleton, features, rotations and the `Clip` a caller receives."""

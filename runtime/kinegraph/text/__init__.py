@@ -1,1 +1,1 @@
-"""text"""
+"""From a caption to tokens and to a semantic graph."""

@@ -1,0 +1,117 @@
+"""Layout `joints-137`: joints -> features -> joints.
+
+One row per frame, in the body's facing frame (see `skeleton.facing_angle`, unsmoothed):
+
+    yaw velocity          1    rad / frame, positive to the left
+    root velocity         2    m / frame, x (left) and z (forward)
+    pelvis height         1    m
+    local positions      63    21 joints relative to the pelvis on the floor plane; y is the height above the floor
+    velocities           66    22 joints, m / frame
+    contacts              4    left ankle, left toe, right ankle, right toe: 1 while planted
+
+It is HumanML3D's layout (Guo et al., 2022) without the 126 rotations, which no animation file can use, and with
+the true facing. T frames give T rows; the velocities of the last row repeat those before it.
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+
+from kinegraph.motion.skeleton import FEET, JOINTS, FloatArray, facing_angle
+
+YAW_VELOCITY: Final = slice(0, 1)
+ROOT_VELOCITY: Final = slice(1, 3)
+HEIGHT: Final = slice(3, 4)
+POSITIONS: Final = slice(4, 67)
+VELOCITIES: Final = slice(67, 133)
+CONTACTS: Final = slice(133, 137)
+WIDTH: Final = 137
+
+GROUPS: Final[tuple[slice, ...]] = (YAW_VELOCITY, ROOT_VELOCITY, HEIGHT, POSITIONS, VELOCITIES, CONTACTS)
+"""Features are normalised per group: some single ones are nearly constant."""
+
+CONTACT_SPEED: Final = 0.018
+"""m / frame at 20 frames per second (0.36 m/s); HumanML3D's 0.9 m/s calls 81 % of all frames planted."""
+
+CONTACT_HEIGHT: Final[tuple[float, ...]] = (0.16, 0.08, 0.16, 0.08)
+"""m; a foot above it is in the air however slow it is. Order of `skeleton.FEET`."""
+
+
+def _to_facing(vectors: FloatArray, angle: FloatArray) -> FloatArray:
+    """Rotate (frames, n, 3) vectors by -angle about Y: from the world into each frame's facing frame."""
+    cos, sin = np.cos(angle)[:, None], np.sin(angle)[:, None]
+    x, y, z = vectors[..., 0], vectors[..., 1], vectors[..., 2]
+    return np.stack([cos * x - sin * z, y, sin * x + cos * z], axis=-1)
+
+
+def features_from_joints(joints: FloatArray) -> FloatArray:
+    """Features of a clip that stands on the floor y = 0.
+
+    Args:
+        joints: (frames, 22, 3) metres, Y up, at least two frames.
+
+    Returns:
+        (frames, 137) float32.
+    """
+    joints = np.asarray(joints, dtype=np.float32)
+    angle = facing_angle(joints)
+    step = np.diff(joints, axis=0)
+    step = np.concatenate([step, step[-1:]])
+    yaw_velocity = np.diff(angle)
+    yaw_velocity = np.concatenate([yaw_velocity, yaw_velocity[-1:]])
+    on_floor = joints[:, :1] * np.array([1.0, 0.0, 1.0], dtype=np.float32)
+    positions = _to_facing(joints[:, 1:] - on_floor, angle)
+    # Rotating the repeated last step by the last heading keeps the last row consistent with its own frame.
+    velocities = _to_facing(step, angle)
+    planted = (np.linalg.norm(step[:, FEET], axis=-1) < CONTACT_SPEED) & (joints[:, FEET, 1] < CONTACT_HEIGHT)
+    rows = np.concatenate(
+        [
+            yaw_velocity[:, None],
+            velocities[:, 0, [0, 2]],
+            joints[:, 0, 1:2],
+            positions.reshape(len(joints), -1),
+            velocities.reshape(len(joints), -1),
+            planted.astype(np.float32),
+        ],
+        axis=1,
+    )
+    return rows.astype(np.float32)
+
+
+def joints_from_features(features: FloatArray, *, heading: float = 0.0) -> FloatArray:
+    """Joints of a clip that starts at the origin.
+
+    Args:
+        features: (frames, 137), not normalised.
+        heading: facing angle of the first frame, radians; 0 faces +Z. Features do not hold it.
+
+    Returns:
+        (frames, 22, 3) float32 metres.
+    """
+    features = np.asarray(features, dtype=np.float64)
+    frames = len(features)
+    angle = heading + np.concatenate([[0.0], np.cumsum(features[:-1, 0])])
+    cos, sin = np.cos(angle), np.sin(angle)
+    left, forward = features[:, 1], features[:, 2]
+    step = np.stack([cos * left + sin * forward, -sin * left + cos * forward], axis=-1)
+    root = np.concatenate([np.zeros((1, 2)), np.cumsum(step[:-1], axis=0)])
+    local = features[:, POSITIONS].reshape(frames, JOINTS - 1, 3)
+    joints = np.empty((frames, JOINTS, 3))
+    joints[:, 0] = np.stack([root[:, 0], features[:, 3], root[:, 1]], axis=-1)
+    joints[:, 1:, 0] = cos[:, None] * local[..., 0] + sin[:, None] * local[..., 2] + root[:, :1]
+    joints[:, 1:, 1] = local[..., 1]
+    joints[:, 1:, 2] = -sin[:, None] * local[..., 0] + cos[:, None] * local[..., 2] + root[:, 1:]
+    return joints.astype(np.float32)
+
+
+def normalisation(clips: list[FloatArray]) -> tuple[FloatArray, FloatArray]:
+    """Mean per feature and standard deviation per group over clips of (frames, 137); both (137,)."""
+    rows = np.concatenate(clips).astype(np.float64)
+    mean = rows.mean(axis=0)
+    variance = rows.var(axis=0)
+    std = np.empty(WIDTH)
+    for group in GROUPS:
+        std[group] = np.sqrt(variance[group].mean())
+    return mean.astype(np.float32), std.astype(np.float32)
