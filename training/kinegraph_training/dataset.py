@@ -1,0 +1,59 @@
+"""The clips of one training run: recorded, made and mirrored, as features with their normalisation."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from kinegraph.errors import InvalidInputError
+from kinegraph.motion.features import features_from_joints, normalisation
+from kinegraph.motion.skeleton import FloatArray
+from kinegraph_training.compositions import HeldOut, make_sequences, make_splices
+from kinegraph_training.config import DataConfig
+from kinegraph_training.data import MotionClip, mirrored_clip, read_split
+
+
+@dataclass(frozen=True)
+class Dataset:
+    """Clips with group-normalised features of the same order."""
+
+    clips: list[MotionClip]
+    features: list[FloatArray]
+    mean: FloatArray
+    std: FloatArray
+
+
+def training_clips(folder: Path, config: DataConfig, held_out: Path | None, seed: int) -> list[MotionClip]:
+    """Recorded clips of the `train` split and made compositions, each also mirrored.
+
+    Raises:
+        InvalidInputError: compositions are asked for without the list of pairs to hold out.
+    """
+    clips = [clip for clip in read_split(folder, "train") if len(clip.joints) >= config.min_frames]
+    if config.splices or config.sequences:
+        if held_out is None:
+            raise InvalidInputError(
+                "splices and sequences need --held-out FILE (pairs never to be made); or set both to 0 in [data]"
+            )
+        held = HeldOut.read(held_out)
+        made = make_splices(clips, config.splices, held, seed)
+        made += make_sequences(clips, config.sequences, held, seed + 1, config.max_frames)
+        clips = clips + made
+    return clips + [mirrored_clip(clip) for clip in clips]
+
+
+def training_set(folder: Path, config: DataConfig, held_out: Path | None, seed: int) -> Dataset:
+    """The training clips and their own normalisation."""
+    clips = training_clips(folder, config, held_out, seed)
+    features = [features_from_joints(clip.joints) for clip in clips]
+    mean, std = normalisation(features)
+    return Dataset(clips, [(rows - mean) / std for rows in features], mean, std)
+
+
+def validation_set(folder: Path, split: str, config: DataConfig, mean: FloatArray, std: FloatArray) -> Dataset:
+    """Recorded clips of another split, cut to the longest clip a model takes, under the training normalisation."""
+    clips = [clip for clip in read_split(folder, split) if len(clip.joints) >= config.min_frames]
+    features = [(features_from_joints(clip.joints[: config.max_frames]) - mean) / std for clip in clips]
+    return Dataset(clips, [np.asarray(rows, dtype=np.float32) for rows in features], mean, std)

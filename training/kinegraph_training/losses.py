@@ -1,0 +1,113 @@
+"""What an autoencoder's reconstruction is held to. All masks are (b, l), 1 for real frames."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from kinegraph.motion import features as layout
+from kinegraph.motion.skeleton import FEET, JOINTS, PARENTS
+from kinegraph_training.models.transformer import smooth_l1
+
+
+@dataclass(frozen=True)
+class ReconstructionLoss:
+    """Weights of the terms; metres and radians where a term has a unit."""
+
+    positions: float = 2.0
+    velocities: float = 8.0
+    accelerations: float = 8.0
+    feet: float = 8.0
+    """Displacement of the feet over the floor from one frame to the next: what skating is made of."""
+    bones: float = 2.0
+    windows: float = 1.0
+    """Heading and place integrated over short windows. The whole integral (`path`) at full weight starves the pose."""
+    root_features: float = 4.0
+    kl: float = 1e-4
+    """GraphMotion's lambda."""
+
+
+def masked_mean(values: Tensor, mask: Tensor) -> Tensor:
+    """Mean over real frames and all trailing axes."""
+    mask = mask.reshape(mask.shape + (1,) * (values.dim() - mask.dim()))
+    return (values * mask).sum() / (mask.sum() * values[0, 0].numel()).clamp(min=1.0)
+
+
+def local_joints(features: Tensor) -> Tensor:
+    """(b, l, 137) not normalised -> (b, l, 22, 3) in the body's facing frame, pelvis on the vertical axis."""
+    height = features[..., layout.HEIGHT]
+    pelvis = torch.cat([torch.zeros_like(height), height, torch.zeros_like(height)], dim=-1)
+    joints = features[..., layout.POSITIONS].reshape(*features.shape[:-1], JOINTS - 1, 3)
+    return torch.cat([pelvis[..., None, :], joints], dim=-2)
+
+
+def turned(vectors: Tensor, angle: Tensor) -> tuple[Tensor, Tensor]:
+    """x and z of (..., 2) floor vectors turned by +angle about Y."""
+    cos, sin = torch.cos(angle), torch.sin(angle)
+    x, z = vectors[..., 0], vectors[..., 1]
+    return cos * x + sin * z, cos * z - sin * x
+
+
+def window_path(features: Tensor, window: int) -> Tensor:
+    """Heading and place inside windows that each start at zero: (b, l', 3) with l' cut to whole windows."""
+    batch, frames = features.shape[:2]
+    count = max(frames // window, 1)
+    size = min(window, frames)
+    rows = features[:, : count * size].reshape(batch * count, size, -1)
+    angle = torch.cumsum(rows[..., 0], dim=1)
+    before = angle - rows[..., 0]
+    x, z = turned(rows[..., layout.ROOT_VELOCITY], before)
+    path = torch.stack([angle, torch.cumsum(x, dim=1), torch.cumsum(z, dim=1)], dim=-1)
+    return path.reshape(batch, count * size, 3)
+
+
+def foot_steps(features: Tensor, joints: Tensor) -> Tensor:
+    """Displacement of the four foot joints over the floor, (b, l-1, 4, 3), from pose and root together."""
+    feet = joints[:, :, list(FEET)]
+    root = features[:, :-1, layout.ROOT_VELOCITY]
+    x, z = turned(feet[:, 1:, :, [0, 2]], features[:, :-1, 0][..., None])
+    after = torch.stack([x + root[..., None, 0], feet[:, 1:, :, 1], z + root[..., None, 1]], dim=-1)
+    return after - feet[:, :-1]
+
+
+def bone_lengths(joints: Tensor) -> Tensor:
+    """(b, l, 22, 3) -> (b, l, 21)."""
+    bones = joints[:, :, 1:] - joints[:, :, list(PARENTS[1:])]
+    return torch.sqrt(bones.square().sum(dim=-1) + 1e-8)
+
+
+def reconstruction_terms(
+    predicted: Tensor, target: Tensor, mask: Tensor, std: Tensor, mean: Tensor, weights: ReconstructionLoss
+) -> dict[str, Tensor]:
+    """Weighted terms by name; their sum is the loss. predicted and target: (b, l, 137), group-normalised."""
+    emphasis = torch.ones_like(std)
+    emphasis[: layout.HEIGHT.stop] = weights.root_features
+    terms = {"features": masked_mean(smooth_l1(predicted - target) * emphasis, mask)}
+    raw_p, raw_t = predicted * std + mean, target * std + mean
+    joints_p, joints_t = local_joints(raw_p), local_joints(raw_t)
+    difference = joints_p - joints_t
+    pairs, triples = mask[:, 1:], mask[:, 2:]
+    velocity = difference[:, 1:] - difference[:, :-1]
+    terms["positions"] = weights.positions * masked_mean(difference.abs(), mask)
+    terms["velocities"] = weights.velocities * masked_mean(velocity.abs(), pairs)
+    terms["accelerations"] = weights.accelerations * masked_mean((velocity[:, 1:] - velocity[:, :-1]).abs(), triples)
+    terms["feet"] = weights.feet * masked_mean((foot_steps(raw_p, joints_p) - foot_steps(raw_t, joints_t)).abs(), pairs)
+    terms["bones"] = weights.bones * masked_mean((bone_lengths(joints_p) - bone_lengths(joints_t)).abs(), mask)
+    for window in (8, 16):
+        path_p, path_t = window_path(raw_p, window), window_path(raw_t, window)
+        terms[f"window_{window}"] = weights.windows * masked_mean((path_p - path_t).abs(), mask[:, : path_p.shape[1]])
+    return terms
+
+
+def path_loss(predicted: Tensor, target: Tensor, mask: Tensor, std: Tensor, mean: Tensor) -> Tensor:
+    """Heading and place integrated over the whole clip."""
+    frames = predicted.shape[1]
+    error = window_path(predicted * std + mean, frames) - window_path(target * std + mean, frames)
+    return masked_mean(error.abs(), mask)
+
+
+def kl_divergence(mean: Tensor, log_variance: Tensor) -> Tensor:
+    """KL(q || N(0, I)), mean over all numbers (GraphMotion, Eq. 4)."""
+    return 0.5 * (mean.square() + log_variance.exp() - 1.0 - log_variance).mean()

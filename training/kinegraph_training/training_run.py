@@ -1,0 +1,114 @@
+"""What every stage shares: optimiser, averaged weights, checkpoints, curves."""
+
+from __future__ import annotations
+
+import csv
+import math
+from collections import defaultdict
+from pathlib import Path
+from typing import Any
+
+import lightning as L
+import torch
+from lightning.pytorch.callbacks import ModelCheckpoint, TQDMProgressBar, WeightAveraging
+from lightning.pytorch.loggers import CSVLogger
+from torch import nn
+
+from kinegraph_training.config import OptimiserConfig
+
+
+class RampedEma(WeightAveraging):
+    """Exponential moving average whose decay grows as (1 + n) / (10 + n), so that a short run is not stuck at its
+    start. Validation and checkpoints use the averaged weights; the live ones are kept for resuming."""
+
+    def __init__(self, decay: float) -> None:
+        def lerp(averaged: list[torch.Tensor], live: list[torch.Tensor], count: torch.Tensor | int) -> None:
+            n = int(count)
+            torch._foreach_lerp_(averaged, live, 1.0 - min(decay, (1 + n) / (10 + n)))
+
+        super().__init__(use_buffers=False, multi_avg_fn=lerp)
+
+
+def optimiser(module: nn.Module, config: OptimiserConfig) -> dict[str, Any]:
+    """AdamW, linear warm-up, cosine to 2 % by step count (so that a resumed run follows the same curve)."""
+    adam = torch.optim.AdamW(
+        [p for p in module.parameters() if p.requires_grad],
+        lr=config.learning_rate,
+        betas=(0.9, config.beta2),
+        weight_decay=config.weight_decay,
+    )
+
+    def rate(step: int) -> float:
+        if step < config.warmup:
+            return (step + 1) / config.warmup
+        part = min(1.0, (step - config.warmup) / max(1, config.steps - config.warmup))
+        return 0.02 + 0.98 * 0.5 * (1 + math.cos(math.pi * part))
+
+    schedule = torch.optim.lr_scheduler.LambdaLR(adam, rate)
+    return {"optimizer": adam, "lr_scheduler": {"scheduler": schedule, "interval": "step"}}
+
+
+class Curves(L.Callback):
+    """Draws metrics.csv as curves.png after each validation."""
+
+    def on_validation_end(self, trainer: L.Trainer, pl_module: L.LightningModule) -> None:
+        if trainer.sanity_checking or not isinstance(trainer.logger, CSVLogger):
+            return
+        trainer.logger.save()
+        draw_curves(Path(trainer.logger.log_dir) / "metrics.csv")
+
+
+def draw_curves(table: Path) -> None:
+    """One panel per metric over steps, beside the table."""
+    if not table.is_file():
+        return
+    import matplotlib
+
+    matplotlib.use("Agg")
+    from matplotlib import pyplot
+
+    series: dict[str, list[tuple[int, float]]] = defaultdict(list)
+    with table.open(newline="") as file:
+        for row in csv.DictReader(file):
+            for name, value in row.items():
+                if name not in ("step", "epoch") and value:
+                    series[name].append((int(row["step"]), float(value)))
+    names = sorted(series)
+    rows = -(-len(names) // 4)
+    figure, axes = pyplot.subplots(rows, 4, figsize=(16, 3 * rows), squeeze=False)
+    for axis, name in zip(axes.flat, names, strict=False):
+        axis.plot(*zip(*series[name], strict=True), linewidth=1)
+        axis.set_title(name, fontsize=9)
+        if min(value for _, value in series[name]) > 0:
+            axis.set_yscale("log")
+    for axis in axes.flat[len(names) :]:
+        axis.axis("off")
+    figure.tight_layout()
+    figure.savefig(table.with_name("curves.png"), dpi=70)
+    pyplot.close(figure)
+
+
+def trainer(run: Path, config: OptimiserConfig, *, validate_every: int, lightning: dict[str, Any]) -> L.Trainer:
+    """A Lightning trainer that resumes from `run/last.ckpt`; `lightning` are its own flags (devices, strategy ...)."""
+    logger = CSVLogger(run, name="curves", version="")
+    checkpoint = ModelCheckpoint(dirpath=run, save_last=True, save_top_k=0, every_n_train_steps=validate_every)
+    options: dict[str, Any] = {
+        "accelerator": "auto",
+        "precision": "bf16-mixed",
+        "max_steps": config.steps,
+        "gradient_clip_val": config.clip,
+        "val_check_interval": validate_every,
+        "check_val_every_n_epoch": None,
+        "log_every_n_steps": 50,
+        "num_sanity_val_steps": 0,
+        "enable_model_summary": False,
+        "callbacks": [checkpoint, RampedEma(config.ema), Curves(), TQDMProgressBar(refresh_rate=20)],
+        "logger": logger,
+    }
+    return L.Trainer(**(options | lightning))
+
+
+def last_checkpoint(run: Path) -> str | None:
+    """Where to resume, if the run was started before."""
+    path = run / "last.ckpt"
+    return str(path) if path.is_file() else None
