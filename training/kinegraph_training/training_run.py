@@ -10,7 +10,7 @@ from typing import Any
 
 import lightning as L
 import torch
-from lightning.pytorch.callbacks import ModelCheckpoint, TQDMProgressBar, WeightAveraging
+from lightning.pytorch.callbacks import ModelCheckpoint, WeightAveraging
 from lightning.pytorch.loggers import CSVLogger
 from torch import nn
 
@@ -102,7 +102,7 @@ def trainer(run: Path, config: OptimiserConfig, *, validate_every: int, lightnin
         "log_every_n_steps": 50,
         "num_sanity_val_steps": 0,
         "enable_model_summary": False,
-        "callbacks": [checkpoint, RampedEma(config.ema), Curves(), TQDMProgressBar(refresh_rate=20)],
+        "callbacks": [checkpoint, RampedEma(config.ema), Curves()],
         "logger": logger,
     }
     return L.Trainer(**(options | lightning))
