@@ -30,6 +30,15 @@ from kinegraph_training.training_run import last_checkpoint, optimiser, trainer
 PATH_WEIGHT = 0.1
 """Weight of the whole integral in the last third of a run, once poses are learnt."""
 
+MOTION_TERMS = frozenset(("bones", "velocities", "accelerations", "feet", "window_8", "window_16"))
+"""Held back at first: while poses are still wrong, a body that stands still has the smallest velocity error, and a
+run that starts with these terms never leaves that answer (82 mm after 1,000 steps)."""
+
+
+def motion_ramp(step: int, steps: int) -> float:
+    """Weight of MOTION_TERMS: 0 for the first tenth of a run, 1 from four tenths on."""
+    return min(1.0, max(0.0, (step / steps - 0.1) / 0.3))
+
 
 class VaeModule(L.LightningModule):
     """The autoencoder, its normalisation and its loss."""
@@ -49,7 +58,9 @@ class VaeModule(L.LightningModule):
         latent = mean + torch.randn_like(mean) * torch.exp(0.5 * log_variance)
         decoded = self.vae.decode(latent, mask)
         with torch.autocast(self.device.type, enabled=False):
+            ramp = motion_ramp(self.global_step, self.training_config.steps)
             terms = reconstruction_terms(decoded.float(), features, mask, self.std, self.mean, self.weights)
+            terms = {name: value * ramp if name in MOTION_TERMS else value for name, value in terms.items()}
             terms["kl"] = self.weights.kl * kl_divergence(mean.float(), log_variance.float())
             if self.global_step > 2 * self.training_config.steps // 3:
                 terms["path"] = PATH_WEIGHT * path_loss(decoded.float(), features, mask, self.std, self.mean)
