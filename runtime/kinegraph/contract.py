@@ -1,0 +1,233 @@
+"""Inputs and outputs of every ONNX graph of a bundle, declared once for export, loading and tests.
+
+Axes are numbers where the size is fixed by the bundle and names where it is free:
+
+    B samples     R latent rows     A attention rows     T text tokens     N graph nodes
+    S context tokens (node tokens first, then the coarser latent's)     L frames
+
+Rows of a step are predictions (unconditional, a concept, ...); attention row `a` lets latent row `src[a]`
+attend to its own context, and `combine` mixes attention outputs back into rows.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from typing import Final, Protocol
+
+from kinegraph.errors import BundleFormatError
+
+LEVELS: Final[tuple[str, ...]] = ("motion", "action", "specific")
+"""Coarse to fine; a level sees the final latent of the one before it."""
+
+NODE_KINDS: Final[tuple[str, ...]] = ("motion", "action", "specific")
+"""Position is the number in a context graph's `kind` input."""
+
+NULL_KIND: Final = 3
+"""`kind` of the learned null token of unconditional rows: its node features are ignored."""
+
+FLOAT: Final = "float32"
+INT: Final = "int64"
+
+TOLERANCE: Final = 1e-4
+"""Largest absolute difference from the trained modules that an fp32 export may have."""
+
+PADDING_BIAS: Final = -1e4
+"""Attention bias of padding tokens; -inf would turn a row of padding into NaN."""
+
+_ORT_TYPES: Final[Mapping[str, str]] = {FLOAT: "tensor(float)", INT: "tensor(int64)"}
+
+
+class Tensor(Protocol):
+    """What onnxruntime tells about one input or output (`onnxruntime.NodeArg`)."""
+
+    @property
+    def name(self) -> str: ...
+    @property
+    def shape(self) -> list[int | str | None]: ...
+    @property
+    def type(self) -> str: ...
+
+
+@dataclass(frozen=True)
+class LevelSpec:
+    """Dimensions of one level's denoiser."""
+
+    tokens: int
+    """Latent tokens C."""
+    latent_width: int
+    """Channels z of one latent token."""
+    width: int
+    """Model width d, also that of the time and length tables."""
+    heads: int
+    layers: int
+    """Layers with cross-attention: each has one key and one value."""
+    nodes: tuple[str, ...]
+    """Kinds of graph nodes the level attends to, out of `NODE_KINDS`."""
+
+
+@dataclass(frozen=True)
+class TensorSpec:
+    """One input or output."""
+
+    name: str
+    axes: tuple[str | int, ...]
+    """A number is a fixed size, a name a free one."""
+    dtype: str = FLOAT
+
+
+@dataclass(frozen=True)
+class GraphContract:
+    """One ONNX graph: its file is `{name}.onnx`."""
+
+    name: str
+    inputs: tuple[TensorSpec, ...]
+    outputs: tuple[TensorSpec, ...]
+    tolerance: float = TOLERANCE
+
+    @property
+    def file(self) -> str:
+        """Name of the graph's file in a bundle."""
+        return f"{self.name}.onnx"
+
+
+def text_encoder(text_width: int) -> GraphContract:
+    """`pooled` is the mean of `hidden` over the unmasked tokens, special ones included, not normalised."""
+    tokens = (TensorSpec("input_ids", ("B", "T"), INT), TensorSpec("attention_mask", ("B", "T"), INT))
+    outputs = (TensorSpec("hidden", ("B", "T", text_width)), TensorSpec("pooled", ("B", text_width)))
+    return GraphContract("text_encoder", tokens, outputs)
+
+
+def graph_encoder(text_width: int) -> GraphContract:
+    """Graph attention: `relation` is the role's number or -1 for no edge, `node_mask` 1 for a node.
+
+    On padding `node_mask` and `nodes_out` are 0.
+    """
+    inputs = (
+        TensorSpec("nodes", ("B", "N", text_width)),
+        TensorSpec("relation", ("B", "N", "N"), INT),
+        TensorSpec("edge_weight", ("B", "N", "N")),
+        TensorSpec("node_mask", ("B", "N")),
+    )
+    return GraphContract("graph_encoder", inputs, (TensorSpec("nodes_out", ("B", "N", text_width)),))
+
+
+def _keys_values(level: LevelSpec, rows: str) -> tuple[TensorSpec, ...]:
+    axes = (rows, level.heads, "S", level.width // level.heads)
+    return tuple(
+        TensorSpec(f"{kind}_{layer}", axes) for layer in range(level.layers) for kind in ("key", "value")
+    )
+
+
+def context(name: str, level: LevelSpec, text_width: int, coarse: LevelSpec | None) -> GraphContract:
+    """Keys and values of one level, once per sample.
+
+    Args:
+        name: one of `LEVELS`.
+        level: its dimensions.
+        text_width: D, width of the graph encoder's nodes.
+        coarse: the level above, whose latent is an input; None at the motion level.
+    """
+    inputs: tuple[TensorSpec, ...] = (
+        TensorSpec("nodes", ("B", "N", text_width)),
+        TensorSpec("kind", ("B", "N"), INT),
+        TensorSpec("order", ("B", "N"), INT),
+    )
+    if coarse is not None:
+        inputs += (TensorSpec("coarse", ("B", coarse.tokens, coarse.latent_width)),)
+    return GraphContract(f"context_{name}", inputs, _keys_values(level, "B"))
+
+
+def step(name: str, level: LevelSpec) -> GraphContract:
+    """The noise in R latent rows, one diffusion step.
+
+    `bias` holds the log edge weights of the context tokens and `PADDING_BIAS` on padding.
+    """
+    latent = ("R", level.tokens, level.latent_width)
+    inputs = (
+        TensorSpec("latent", latent),
+        TensorSpec("temb", ("R", 1, level.width)),
+        *_keys_values(level, "A"),
+        TensorSpec("src", ("A",), INT),
+        TensorSpec("combine", ("R", "A")),
+        TensorSpec("bias", ("A", 1, level.tokens, "S")),
+    )
+    return GraphContract(f"step_{name}", inputs, (TensorSpec("noise", latent),))
+
+
+def decoder(level: LevelSpec, features: int) -> GraphContract:
+    """Normalised features from the finest latent.
+
+    `frame_mask` is 1 on frames, 0 on padding; L is a multiple of the bundle's frames per token.
+    """
+    inputs = (
+        TensorSpec("latent", ("B", level.tokens, level.latent_width)),
+        TensorSpec("frame_mask", ("B", "L")),
+    )
+    return GraphContract("decoder", inputs, (TensorSpec("features", ("B", "L", features)),))
+
+
+def contracts(levels: Mapping[str, LevelSpec], text_width: int, features: int) -> dict[str, GraphContract]:
+    """Every graph of a bundle by name, in the order of running.
+
+    Args:
+        levels: one spec for each of `LEVELS`.
+        text_width: D, the text encoder's width.
+        features: F, the width of the feature layout.
+    """
+    graphs = [text_encoder(text_width), graph_encoder(text_width)]
+    coarse: LevelSpec | None = None
+    for name in LEVELS:
+        graphs += [context(name, levels[name], text_width, coarse), step(name, levels[name])]
+        coarse = levels[name]
+    graphs.append(decoder(levels[LEVELS[-1]], features))
+    return {graph.name: graph for graph in graphs}
+
+
+GRAPHS: Final[tuple[str, ...]] = (
+    "text_encoder",
+    "graph_encoder",
+    *(f"{part}_{level}" for level in LEVELS for part in ("context", "step")),
+    "decoder",
+)
+"""Names of all graphs of a bundle, in the order of running."""
+
+
+def check(inputs: Iterable[Tensor], outputs: Iterable[Tensor], contract: GraphContract) -> None:
+    """Compare a session's inputs and outputs with the contract.
+
+    Args:
+        inputs: `session.get_inputs()`.
+        outputs: `session.get_outputs()`.
+        contract: what the graph has to look like. Order does not matter, names do.
+
+    Raises:
+        BundleFormatError: naming graph, tensor, what is expected and what was found.
+    """
+    _check_side(contract.name, "input", list(inputs), contract.inputs)
+    _check_side(contract.name, "output", list(outputs), contract.outputs)
+
+
+def _check_side(graph: str, side: str, found: list[Tensor], expected: tuple[TensorSpec, ...]) -> None:
+    by_name = {tensor.name: tensor for tensor in found}
+    names = [spec.name for spec in expected]
+    for spec in expected:
+        tensor = by_name.get(spec.name)
+        if tensor is None:
+            raise BundleFormatError(f"{graph}.onnx has no {side} {spec.name!r}; it has {sorted(by_name)}")
+        where = f"{graph}.onnx: {side} {spec.name!r}"
+        if tensor.type != _ORT_TYPES[spec.dtype]:
+            raise BundleFormatError(f"{where} should be {_ORT_TYPES[spec.dtype]}, found {tensor.type}")
+        if not _same_axes(tensor.shape, spec.axes):
+            raise BundleFormatError(f"{where} should have the shape {list(spec.axes)}, found {tensor.shape}")
+    for name in by_name:
+        if name not in names:
+            raise BundleFormatError(f"{graph}.onnx has an unknown {side} {name!r}; expected are {names}")
+
+
+def _same_axes(found: list[int | str | None], expected: tuple[str | int, ...]) -> bool:
+    # A number where a name is declared is an axis that the exporter froze at its sample's size.
+    return len(found) == len(expected) and all(
+        size == axis if isinstance(axis, int) else not isinstance(size, int)
+        for size, axis in zip(found, expected, strict=True)
+    )

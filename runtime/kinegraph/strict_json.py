@@ -1,0 +1,142 @@
+"""JSON to frozen dataclasses, strictly: the type hints are the schema, and everything else is an error."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import math
+import types
+from collections.abc import Mapping
+from typing import Any, Literal, NoReturn, TypeVar, cast, get_args, get_origin, get_type_hints
+
+from kinegraph.errors import BundleFormatError
+
+T = TypeVar("T")
+
+
+def parse_object(data: bytes, where: str) -> dict[str, Any]:
+    """Parse one JSON object; repeated keys, NaN and infinity are errors.
+
+    Raises:
+        BundleFormatError: naming `where`.
+    """
+
+    def refuse_constant(token: str) -> NoReturn:
+        raise BundleFormatError(f"{where}: {token} is not a number")
+
+    def refuse_repeats(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+        found = dict(pairs)
+        if len(found) != len(pairs):
+            keys = [key for key, _ in pairs]
+            raise BundleFormatError(f"{where}: repeated key {next(k for k in keys if keys.count(k) > 1)!r}")
+        return found
+
+    try:
+        value = json.loads(
+            data.decode("utf-8"), parse_constant=refuse_constant, object_pairs_hook=refuse_repeats
+        )
+    except (
+        ValueError,
+        RecursionError,
+    ) as error:  # ValueError: JSON, UTF-8, and integers of thousands of digits
+        raise BundleFormatError(f"{where} is not valid JSON: {error}") from error
+    if not isinstance(value, dict):
+        raise BundleFormatError(f"{where} must be a JSON object, found {_kind(value)}")
+    return value
+
+
+def decode(kind: type[T], value: object, where: str) -> T:
+    """Build a value of a type from parsed JSON.
+
+    Takes dataclasses, `tuple[X, ...]`, `Mapping[str, X]`, `Literal`, unions of scalars, str, int and float.
+    An int is a float too, a bool is neither; numbers must be finite and strings printable.
+
+    Raises:
+        BundleFormatError: naming the path of the offending key.
+    """
+    return cast("T", _decode(kind, value, where))
+
+
+def _decode(kind: Any, value: object, where: str) -> object:
+    origin = get_origin(kind)
+    if dataclasses.is_dataclass(kind):
+        return _decode_record(kind, value, where)
+    if origin is tuple:
+        items = _expect(list, value, where)
+        return tuple(
+            _decode(get_args(kind)[0], item, f"{where}[{index}]") for index, item in enumerate(items)
+        )
+    if origin is Mapping:
+        record = _expect(dict, value, where)
+        inner = get_args(kind)[1]
+        return types.MappingProxyType(
+            {_text(k, where): _decode(inner, v, f"{where}.{k}") for k, v in record.items()}
+        )
+    if origin is Literal:
+        if not isinstance(value, str) or value not in get_args(kind):
+            raise BundleFormatError(f"{where} must be one of {list(get_args(kind))}, found {value!r}")
+        return value
+    return _decode_scalar(get_args(kind) or (kind,), value, where)
+
+
+def _decode_record(kind: Any, value: object, where: str) -> object:
+    record = _expect(dict, value, where)
+    hints = get_type_hints(kind)
+    names = [field.name for field in dataclasses.fields(kind)]
+    for key in record:
+        if key not in names:
+            raise BundleFormatError(f"{where}: unknown key {key!r}; allowed are {names}")
+    for name in names:
+        if name not in record:
+            raise BundleFormatError(f"{where}: missing key {name!r}")
+    return kind(**{name: _decode(hints[name], record[name], f"{where}.{name}") for name in names})
+
+
+def _decode_scalar(allowed: tuple[type, ...], value: object, where: str) -> object:
+    if type(value) is str and str in allowed:
+        return _text(value, where)
+    if type(value) is int and int in allowed:
+        return value
+    if type(value) in (int, float) and float in allowed:
+        number = _as_float(cast("float", value))
+        if not math.isfinite(number):
+            raise BundleFormatError(f"{where} must be a finite number")
+        return number
+    raise BundleFormatError(
+        f"{where} must be {' or '.join(kind.__name__ for kind in allowed)}, found {_kind(value)}"
+    )
+
+
+def _as_float(value: float) -> float:
+    try:
+        return float(value)
+    except OverflowError:  # an integer beyond 1e308
+        return math.inf
+
+
+def _expect(kind: type[T], value: object, where: str) -> T:
+    if not isinstance(value, kind):
+        name = "a list" if kind is list else "an object"
+        raise BundleFormatError(f"{where} must be {name}, found {_kind(value)}")
+    return value
+
+
+def _text(value: str, where: str) -> str:
+    if not value.isprintable():
+        raise BundleFormatError(f"{where}: {value!r} holds characters that cannot be printed")
+    return value
+
+
+def _kind(value: object) -> str:
+    return "null" if value is None else f"{type(value).__name__} {str(value)[:40]!r}"
+
+
+def plain(value: object) -> Any:
+    """The reverse of `decode`: dataclasses, tuples and mappings as JSON's dicts and lists."""
+    if dataclasses.is_dataclass(value):
+        return {field.name: plain(getattr(value, field.name)) for field in dataclasses.fields(value)}
+    if isinstance(value, Mapping):
+        return {key: plain(item) for key, item in value.items()}
+    if isinstance(value, tuple):
+        return [plain(item) for item in value]
+    return value
