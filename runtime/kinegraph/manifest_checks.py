@@ -1,0 +1,204 @@
+"""Checks across the fields of a manifest: what types alone cannot say."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Final
+
+from kinegraph.contract import GRAPHS, LEVELS, NODE_KINDS, LevelSpec
+from kinegraph.errors import BundleFormatError
+from kinegraph.limits import MAX_FRAMES
+from kinegraph.motion.skeleton import JOINT_NAMES, PARENTS
+from kinegraph.text.roles import ROLES
+
+if TYPE_CHECKING:
+    from kinegraph.manifest import Defaults, FeatureSpec, FileSpec, FrameSpec, Manifest, ScheduleSpec
+
+FORMAT_VERSION: Final = 1
+
+GRAPH_FILES: Final[tuple[str, ...]] = tuple(f"{graph}.onnx" for graph in GRAPHS)
+REQUIRED_FILES: Final[frozenset[str]] = frozenset((*GRAPH_FILES, "tokenizer.json", "tables.npz"))
+OPTIONAL_FILES: Final[frozenset[str]] = frozenset(("parser.bin",))
+"""Without the parser a bundle takes graphs, but no plain sentences."""
+
+MAX_DIMS: Final[Mapping[str, int]] = {
+    "tokens": 256,
+    "latent_width": 4096,
+    "width": 8192,
+    "heads": 256,
+    "layers": 256,
+}
+"""Far above any model; contracts and tables are sized by these before a file is trusted."""
+
+LAYOUT_WIDTHS: Final[Mapping[str, int]] = {"joints-137": 137, "humanml3d-263": 263}
+
+
+def check_manifest(manifest: Manifest) -> None:
+    """Check everything that involves more than one field, or a range.
+
+    Raises:
+        BundleFormatError: naming the path of the key, what is allowed and what was found.
+    """
+    check_version(manifest.format_version)
+    _check_body(manifest)
+    _check_features(manifest.features)
+    _check_levels(manifest.levels)
+    _check_schedule(manifest.schedule, manifest.defaults, manifest.frames, manifest.fps)
+    _check_files(manifest.files, manifest.operators)
+
+
+def _require(holds: bool, key: str, message: str) -> None:
+    if not holds:
+        raise BundleFormatError(f"manifest.json: {key} {message}")
+
+
+def check_version(version: int) -> None:
+    """Raise BundleFormatError unless this kinegraph reads that format."""
+    _require(
+        version == FORMAT_VERSION,
+        "format_version",
+        f"is {version}, this kinegraph reads {FORMAT_VERSION}; install the release the bundle was built for",
+    )
+
+
+def _check_body(manifest: Manifest) -> None:
+    skeleton, frames = manifest.skeleton, manifest.frames
+    _require(
+        skeleton.joint_names == JOINT_NAMES,
+        "skeleton.joint_names",
+        "must be the 22 joints of kinegraph.motion.skeleton",
+    )
+    _require(skeleton.parents == PARENTS, "skeleton.parents", "must be those of kinegraph.motion.skeleton")
+    _require(
+        manifest.roles == ROLES, "roles", f"must be {list(ROLES)} in this order, found {list(manifest.roles)}"
+    )
+    _require(
+        1 <= manifest.text.width <= MAX_DIMS["width"],
+        "text.width",
+        f"must be 1 to {MAX_DIMS['width']}, found {manifest.text.width}",
+    )
+    _require(0 < manifest.fps <= 1000, "fps", f"must be above 0 and at most 1000, found {manifest.fps}")
+    _require(
+        2 <= frames.min <= frames.max <= MAX_FRAMES,
+        "frames",
+        f"must satisfy 2 <= min <= max <= {MAX_FRAMES}, found min {frames.min}, max {frames.max}",
+    )
+    _require(
+        1 <= frames.per_token <= frames.max,
+        "frames.per_token",
+        f"must be 1 to {frames.max}, found {frames.per_token}",
+    )
+
+
+def _check_features(features: FeatureSpec) -> None:
+    width = LAYOUT_WIDTHS[features.layout]
+    for key in ("mean", "std"):
+        found = len(getattr(features, key))
+        _require(
+            found == width,
+            f"features.{key}",
+            f"must have {width} numbers for {features.layout}, found {found}",
+        )
+    _require(min(features.std) > 0, "features.std", f"must be positive, found {min(features.std)}")
+
+
+def _check_levels(levels: Mapping[str, LevelSpec]) -> None:
+    _check_keys(levels, "levels")
+    coarse: LevelSpec | None = None
+    for name in LEVELS:
+        level = levels[name]
+        key = f"levels.{name}"
+        for field, most in MAX_DIMS.items():
+            found = getattr(level, field)
+            _require(1 <= found <= most, f"{key}.{field}", f"must be 1 to {most}, found {found}")
+        _require(
+            level.width % level.heads == 0,
+            f"{key}.heads",
+            f"must divide the width {level.width}, found {level.heads}",
+        )
+        kinds = tuple(kind for kind in NODE_KINDS if kind in level.nodes)
+        _require(
+            bool(kinds) and level.nodes == kinds,
+            f"{key}.nodes",
+            f"must be some of {list(NODE_KINDS)} in this order, found {list(level.nodes)}",
+        )
+        if coarse is not None:
+            # The coarser latent is handed on as context tokens of the same width.
+            _require(
+                level.latent_width == coarse.latent_width,
+                f"{key}.latent_width",
+                f"must be that of the coarser level, {coarse.latent_width}, found {level.latent_width}",
+            )
+            _require(
+                level.tokens >= coarse.tokens,
+                f"{key}.tokens",
+                f"must not be fewer than the coarser level's {coarse.tokens}, found {level.tokens}",
+            )
+        coarse = level
+
+
+def _check_keys(mapping: Mapping[str, object], key: str) -> None:
+    _require(
+        set(mapping) == set(LEVELS), key, f"must have exactly the keys {list(LEVELS)}, found {list(mapping)}"
+    )
+
+
+def _check_schedule(schedule: ScheduleSpec, defaults: Defaults, frames: FrameSpec, fps: float) -> None:
+    _require(
+        1 <= schedule.train_steps <= 100_000,
+        "schedule.train_steps",
+        f"must be 1 to 100000, found {schedule.train_steps}",
+    )
+    _require(
+        0 < schedule.beta_start <= schedule.beta_end < 1,
+        "schedule",
+        f"must satisfy 0 < beta_start <= beta_end < 1, found {schedule.beta_start}, {schedule.beta_end}",
+    )
+    _require(
+        0 <= schedule.steps_offset < schedule.train_steps,
+        "schedule.steps_offset",
+        f"must be 0 to {schedule.train_steps - 1}, found {schedule.steps_offset}",
+    )
+    _check_keys(defaults.steps, "defaults.steps")
+    _check_keys(defaults.guidance, "defaults.guidance")
+    for name in LEVELS:
+        steps, scale = defaults.steps[name], defaults.guidance[name]
+        _require(
+            1 <= steps <= schedule.train_steps,
+            f"defaults.steps.{name}",
+            f"must be 1 to {schedule.train_steps}, found {steps}",
+        )
+        _require(0 <= scale <= 20, f"defaults.guidance.{name}", f"must be 0 to 20, found {scale}")
+    _require(
+        frames.min <= round(defaults.seconds * fps) <= frames.max,
+        "defaults.seconds",
+        f"must be {frames.min / fps:g} to {frames.max / fps:g}, found {defaults.seconds}",
+    )
+
+
+def _check_files(files: Mapping[str, FileSpec], operators: Mapping[str, tuple[str, ...]]) -> None:
+    for name, entry in files.items():
+        # Only known names are ever opened, so separators, drives, "..", NUL and devices can name nothing.
+        _require(
+            name in REQUIRED_FILES | OPTIONAL_FILES,
+            "files",
+            f"names {name!r}, no file of a bundle; allowed are {sorted(REQUIRED_FILES | OPTIONAL_FILES)}",
+        )
+        _require(
+            re.fullmatch("[0-9a-f]{64}", entry.sha256) is not None,
+            f"files.{name}.sha256",
+            f"must be 64 hex digits, found {entry.sha256!r}",
+        )
+        _require(entry.bytes >= 0, f"files.{name}.bytes", f"must not be negative, found {entry.bytes}")
+    missing = sorted(REQUIRED_FILES - set(files))
+    _require(not missing, "files", f"lacks {missing}")
+    _require(
+        set(operators) == set(GRAPH_FILES),
+        "operators",
+        f"must have exactly the keys {sorted(GRAPH_FILES)}, found {sorted(operators)}",
+    )
+    for name, listed in operators.items():
+        _require(
+            list(listed) == sorted(set(listed)), f"operators.{name}", "must be sorted and without repeats"
+        )

@@ -1,0 +1,167 @@
+"""What an ONNX file asks for, read without the onnx package: its operators, and whether it names other files.
+
+Only the protobuf framing is walked and tensor contents are skipped. Field numbers are those of onnx.proto.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
+from typing import Final
+
+from kinegraph.errors import BundleFormatError
+
+DEFAULT_DOMAIN: Final = "ai.onnx"
+
+_MAX_DEPTH: Final = 64
+_VARINT, _FIXED64, _BYTES, _FIXED32 = 0, 1, 2, 5
+
+
+@dataclass
+class _Found:
+    operators: set[str] = field(default_factory=set)
+    external: bool = False
+
+
+@dataclass(frozen=True)
+class OnnxSummary:
+    operators: tuple[str, ...]
+    """Sorted `domain::OpType` of all nodes, those of nested graphs and of functions included."""
+    external_data: bool
+    """Whether any tensor says that its content lies outside the file."""
+
+
+def summarise(data: bytes, name: str) -> OnnxSummary:
+    """Walk a serialised ModelProto.
+
+    Args:
+        data: content of the file.
+        name: of the file, for messages.
+
+    Raises:
+        BundleFormatError: the bytes are no ONNX model.
+    """
+    found = _Found()
+    try:
+        _walk(_MODEL, data, 0, len(data), found, 0)
+    except _MalformedError as error:
+        raise BundleFormatError(f"{name} is not an ONNX model: {error}") from None
+    if not found.operators:
+        raise BundleFormatError(f"{name} is not an ONNX model: it has no operators")
+    return OnnxSummary(tuple(sorted(found.operators)), found.external)
+
+
+def check_self_contained(data: bytes, name: str) -> None:
+    """Refuse a model that is not one self-contained ONNX file.
+
+    With a model from bytes, onnxruntime would look for external tensors in the current folder, and for one
+    special location at a memory address.
+
+    Raises:
+        BundleFormatError: external tensor data, onnxruntime's own ORT format, or no ONNX model.
+    """
+    if data[4:8] == b"ORTM":
+        raise BundleFormatError(
+            f"{name} is in the ORT format, whose operators cannot be listed; export it as ONNX"
+        )
+    # Every external tensor has an entry with the key "location", so most files need no walk.
+    if b"location" in data and summarise(data, name).external_data:
+        raise BundleFormatError(f"{name} keeps tensors in another file; export it with all data inside")
+
+
+class _MalformedError(Exception):
+    pass
+
+
+_Visitor = Callable[[bytes, int, int, "_Found", int], None]
+
+
+def _walk(
+    message: Mapping[int, _Visitor], data: bytes, start: int, end: int, found: _Found, depth: int
+) -> None:
+    if depth > _MAX_DEPTH:
+        raise _MalformedError(f"nested deeper than {_MAX_DEPTH}")
+    for number, wire, begin, stop in _fields(data, start, end):
+        visit = message.get(number)
+        if visit is not None and wire == _BYTES:
+            visit(data, begin, stop, found, depth + 1)
+
+
+def _fields(data: bytes, start: int, end: int) -> Iterator[tuple[int, int, int, int]]:
+    """Number, wire type, first byte and end of each field's content."""
+    position = start
+    while position < end:
+        key, position = _varint(data, position, end)
+        number, wire = key >> 3, key & 7
+        begin = position
+        if wire == _BYTES:
+            length, begin = _varint(data, position, end)
+            position = begin + length
+        elif wire == _VARINT:
+            position = _varint(data, position, end)[1]
+        elif wire in (_FIXED32, _FIXED64):
+            position += 4 if wire == _FIXED32 else 8
+        else:
+            raise _MalformedError(f"wire type {wire}")
+        if position > end or number == 0:
+            raise _MalformedError("a field runs past its end")
+        yield number, wire, begin, position
+
+
+def _varint(data: bytes, position: int, end: int) -> tuple[int, int]:
+    value = 0
+    for shift in range(0, 70, 7):
+        if position >= end:
+            raise _MalformedError("cut short")
+        byte = data[position]
+        position += 1
+        value |= (byte & 0x7F) << shift
+        if byte < 0x80:
+            return value, position
+    raise _MalformedError("a number longer than 64 bits")
+
+
+def _node(data: bytes, start: int, end: int, found: _Found, depth: int) -> None:
+    operator = domain = b""
+    for number, wire, begin, stop in _fields(data, start, end):
+        if wire != _BYTES:
+            continue
+        if number == 4:
+            operator = data[begin:stop]
+        elif number == 7:
+            domain = data[begin:stop]
+        elif number == 5:
+            _walk(_ATTRIBUTE, data, begin, stop, found, depth + 1)
+    try:
+        found.operators.add(f"{domain.decode() or DEFAULT_DOMAIN}::{operator.decode()}")
+    except UnicodeDecodeError as error:
+        raise _MalformedError("an operator's name is not text") from error
+
+
+def _tensor(data: bytes, start: int, end: int, found: _Found, depth: int) -> None:
+    for number, wire, begin, stop in _fields(data, start, end):
+        location = number == 14 and wire == _VARINT and _varint(data, begin, stop)[0] != 0
+        if location or number == 13:
+            found.external = True
+
+
+def _message(table: Mapping[int, _Visitor]) -> _Visitor:
+    def visit(data: bytes, start: int, end: int, found: _Found, depth: int) -> None:
+        _walk(table, data, start, end, found, depth)
+
+    return visit
+
+
+_SPARSE: Final[dict[int, _Visitor]] = {1: _tensor, 2: _tensor}
+_GRAPH: Final[dict[int, _Visitor]] = {1: _node, 5: _tensor, 15: _message(_SPARSE)}
+_ATTRIBUTE: Final[dict[int, _Visitor]] = {
+    5: _tensor,
+    6: _message(_GRAPH),
+    10: _tensor,
+    11: _message(_GRAPH),
+    22: _message(_SPARSE),
+    23: _message(_SPARSE),
+}
+_FUNCTION: Final[dict[int, _Visitor]] = {7: _node, 11: _message(_ATTRIBUTE)}
+_TRAINING: Final[dict[int, _Visitor]] = {1: _message(_GRAPH), 2: _message(_GRAPH)}
+_MODEL: Final[dict[int, _Visitor]] = {7: _message(_GRAPH), 20: _message(_TRAINING), 25: _message(_FUNCTION)}

@@ -1,0 +1,136 @@
+"""The onnxruntime sessions of a bundle: made once, shared by all threads, checked against the contract."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+from typing import Final
+
+import onnxruntime
+from onnxruntime.capi import onnxruntime_pybind11_state as _state
+
+from kinegraph.bundle import Bundle
+from kinegraph.contract import LEVELS, GraphContract, check
+from kinegraph.errors import BundleError, InvalidInputError
+
+MAX_THREADS: Final = 256
+
+ORT_ERRORS: Final[tuple[type[Exception], ...]] = (
+    *(kind for kind in vars(_state).values() if isinstance(kind, type) and issubclass(kind, Exception)),
+    RuntimeError,
+    ValueError,
+)
+"""What onnxruntime raises; its own classes share no base but `Exception`."""
+
+# onnxruntime's SkipLayerNormalization is slower than Add + LayerNormalization at these sizes, the more so
+# after quantising, because the matrix product before it can then take its bias in.
+_DISABLED_OPTIMIZERS: Final = ["SkipLayerNormFusion"]
+
+_ERRORS_ONLY: Final = 3
+
+
+@dataclass(frozen=True)
+class Sessions:
+    """One session per graph; `run` on each of them may be called from any number of threads."""
+
+    text_encoder: onnxruntime.InferenceSession
+    graph_encoder: onnxruntime.InferenceSession
+    context: Mapping[str, onnxruntime.InferenceSession]
+    """By level."""
+    step: Mapping[str, onnxruntime.InferenceSession]
+    """By level."""
+    decoder: onnxruntime.InferenceSession
+
+
+def available_cpus() -> int:
+    """CPUs this process may run on."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
+def session_options(threads: int) -> onnxruntime.SessionOptions:
+    """Options of one session with a pool of `threads` that sleeps when there is nothing to do.
+
+    By default onnxruntime's idle pools spin; with nine sessions they take the cores from the busy one
+    (measured: three times slower on two cores, and half a core burnt between requests).
+    """
+    options = onnxruntime.SessionOptions()
+    options.intra_op_num_threads = threads
+    options.inter_op_num_threads = 1
+    options.execution_mode = onnxruntime.ExecutionMode.ORT_SEQUENTIAL
+    options.log_severity_level = _ERRORS_ONLY
+    options.add_session_config_entry("session.intra_op.allow_spinning", "0")
+    options.add_session_config_entry("session.inter_op.allow_spinning", "0")
+    return options
+
+
+def open_sessions(
+    bundle: Bundle, *, threads: int | None = None, options: onnxruntime.SessionOptions | None = None
+) -> Sessions:
+    """Make the sessions of a bundle.
+
+    Args:
+        bundle: read and checked by `read_bundle`.
+        threads: threads of every session. None: two at most, and one for the step sessions, which are too
+            small to gain from a second one and hold up better on a busy machine.
+        options: the host's own options, used as they are for every session; not together with `threads`.
+
+    Raises:
+        InvalidInputError: `threads` is not 1 to 256, or given together with `options`.
+        BundleError: onnxruntime refuses a graph.
+        BundleFormatError: a graph's inputs or outputs differ from the contract.
+    """
+    if threads is not None and options is not None:
+        raise InvalidInputError(
+            "give either threads or session_options: the options hold a thread count already"
+        )
+    wide = options or session_options(_thread_count(threads, min(2, available_cpus())))
+    narrow = options or session_options(_thread_count(threads, 1))
+    contracts = bundle.manifest.contracts
+
+    def make(graph: str, settings: onnxruntime.SessionOptions) -> onnxruntime.InferenceSession:
+        contract = contracts[graph]
+        return open_session(bundle.files[contract.file], contract, settings)
+
+    return Sessions(
+        text_encoder=make("text_encoder", wide),
+        graph_encoder=make("graph_encoder", wide),
+        context=MappingProxyType({level: make(f"context_{level}", wide) for level in LEVELS}),
+        step=MappingProxyType({level: make(f"step_{level}", narrow) for level in LEVELS}),
+        decoder=make("decoder", wide),
+    )
+
+
+def open_session(
+    data: bytes, contract: GraphContract, options: onnxruntime.SessionOptions
+) -> onnxruntime.InferenceSession:
+    """Make one session from the bytes of a graph and check it against its contract.
+
+    Raises:
+        BundleError: onnxruntime refuses the graph; the message names it.
+        BundleFormatError: inputs or outputs differ from the contract.
+    """
+    try:
+        session = onnxruntime.InferenceSession(
+            data,
+            sess_options=options,
+            providers=["CPUExecutionProvider"],
+            disabled_optimizers=_DISABLED_OPTIMIZERS,
+        )
+    except ORT_ERRORS as error:
+        raise BundleError(
+            f"onnxruntime {onnxruntime.__version__} cannot load {contract.file}: {error}"
+        ) from error
+    check(session.get_inputs(), session.get_outputs(), contract)
+    return session
+
+
+def _thread_count(threads: int | None, default: int) -> int:
+    if threads is None:
+        return default
+    if isinstance(threads, bool) or not isinstance(threads, int) or not 1 <= threads <= MAX_THREADS:
+        raise InvalidInputError(f"threads must be a whole number from 1 to {MAX_THREADS}, not {threads!r}")
+    return threads

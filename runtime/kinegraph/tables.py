@@ -1,0 +1,76 @@
+"""`tables.npz`: the embeddings of time and length, computed at export because no sample changes them."""
+
+from __future__ import annotations
+
+import io
+import zipfile
+import zlib
+from collections.abc import Mapping
+from types import MappingProxyType
+from typing import Final
+
+import numpy as np
+
+from kinegraph.contract import LEVELS
+from kinegraph.errors import BundleFormatError
+from kinegraph.manifest import Manifest
+from kinegraph.motion.skeleton import FloatArray
+
+FILE: Final = "tables.npz"
+
+_HEADER_BYTES: Final = 4096
+"""More than any .npy header of a two-dimensional array."""
+
+
+def table_shapes(manifest: Manifest) -> dict[str, tuple[int, int]]:
+    """Name -> shape of every array of `tables.npz`; all are float32."""
+    shapes: dict[str, tuple[int, int]] = {}
+    for name in LEVELS:
+        width = manifest.levels[name].width
+        shapes[f"time_{name}"] = (manifest.schedule.train_steps, width)
+        shapes[f"length_{name}"] = (manifest.frames.max + 1, width)
+    return shapes
+
+
+def read_tables(data: bytes, manifest: Manifest) -> Mapping[str, FloatArray]:
+    """Read the tables from memory, without pickle.
+
+    Returns:
+        The arrays of `table_shapes`, read-only.
+
+    Raises:
+        BundleFormatError: an array is missing, extra, of another shape or type, or not finite.
+    """
+    shapes = table_shapes(manifest)
+    try:
+        _check_members(data, shapes)
+        with np.load(io.BytesIO(data), allow_pickle=False) as archive:
+            return MappingProxyType(
+                {name: _table(archive[name], name, shape) for name, shape in shapes.items()}
+            )
+    except (zipfile.BadZipFile, zlib.error, ValueError, OSError, EOFError, KeyError, RuntimeError) as error:
+        # RuntimeError: an encrypted member; NotImplementedError (a RuntimeError): an unknown compression.
+        raise BundleFormatError(f"{FILE} is not an npz archive of plain arrays: {error}") from error
+
+
+def _check_members(data: bytes, shapes: Mapping[str, tuple[int, int]]) -> None:
+    with zipfile.ZipFile(io.BytesIO(data)) as archive:
+        found = {member.filename: member.file_size for member in archive.infolist()}
+        count = len(archive.infolist())
+    expected = {f"{name}.npy" for name in shapes}
+    if set(found) != expected or count != len(expected):
+        raise BundleFormatError(f"{FILE} must hold exactly {sorted(shapes)}, found {sorted(found)}")
+    for name, (rows, width) in shapes.items():
+        # Before unpacking: a small archive can unpack to any size.
+        if found[f"{name}.npy"] > rows * width * 4 + _HEADER_BYTES:
+            raise BundleFormatError(f"{FILE}: {name} is larger than its shape {(rows, width)} needs")
+
+
+def _table(array: object, name: str, shape: tuple[int, int]) -> FloatArray:
+    if not isinstance(array, np.ndarray) or array.dtype != np.float32 or array.shape != shape:
+        found = f"{array.dtype} {array.shape}" if isinstance(array, np.ndarray) else type(array).__name__
+        raise BundleFormatError(f"{FILE}: {name} must be float32 {shape}, found {found}")
+    if not np.isfinite(array).all():
+        raise BundleFormatError(f"{FILE}: {name} holds NaN or infinity")
+    array.setflags(write=False)
+    return array
