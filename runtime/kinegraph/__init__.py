@@ -1,0 +1,76 @@
+"""kinegraph: a sentence in, a clip of human motion out, on a plain CPU.
+
+from kinegraph import MotionPipeline
+
+pipe = MotionPipeline.load()
+clip = pipe.generate("a person walks forward and waves", seconds=4, seed=7)
+clip.save("walk.bvh")
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Final
+
+if TYPE_CHECKING:
+    from kinegraph.errors import (
+        BundleError,
+        BundleFormatError,
+        BundleIntegrityError,
+        Cancelled,
+        InvalidGraphError,
+        InvalidInputError,
+        KinegraphError,
+        MissingExtraError,
+        NonFiniteError,
+        OutputError,
+    )
+    from kinegraph.graph import SemanticGraph
+    from kinegraph.motion.clip import Clip
+    from kinegraph.pipeline import MotionPipeline
+
+__version__ = "0.1.0"
+
+# Loaded at first use: `kinegraph --help`, or a program that only reads clips, need not wait for onnxruntime.
+_HOMES: Final[dict[str, str]] = {
+    "BundleError": "kinegraph.errors",
+    "BundleFormatError": "kinegraph.errors",
+    "BundleIntegrityError": "kinegraph.errors",
+    "Cancelled": "kinegraph.errors",
+    "Clip": "kinegraph.motion.clip",
+    "InvalidGraphError": "kinegraph.errors",
+    "InvalidInputError": "kinegraph.errors",
+    "KinegraphError": "kinegraph.errors",
+    "MissingExtraError": "kinegraph.errors",
+    "MotionPipeline": "kinegraph.pipeline",
+    "NonFiniteError": "kinegraph.errors",
+    "OutputError": "kinegraph.errors",
+    "SemanticGraph": "kinegraph.graph",
+}
+
+__all__ = [
+    "BundleError",
+    "BundleFormatError",
+    "BundleIntegrityError",
+    "Cancelled",
+    "Clip",
+    "InvalidGraphError",
+    "InvalidInputError",
+    "KinegraphError",
+    "MissingExtraError",
+    "MotionPipeline",
+    "NonFiniteError",
+    "OutputError",
+    "SemanticGraph",
+]
+
+
+def __getattr__(name: str) -> object:
+    home = _HOMES.get(name)
+    if home is None:
+        raise AttributeError(f"module 'kinegraph' has no attribute {name!r}")
+    return getattr(import_module(home), name)
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *_HOMES})
