@@ -1,0 +1,171 @@
+"""What one call wants, checked before any model runs; what a bundle is lives in `kinegraph.manifest`."""
+
+from __future__ import annotations
+
+import math
+import secrets
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from numbers import Integral, Real
+from types import MappingProxyType
+from typing import Final, TypeVar
+
+from kinegraph.contract import LEVELS
+from kinegraph.errors import InvalidInputError
+from kinegraph.manifest import Manifest, ScheduleSpec
+
+MAX_GUIDANCE: Final = 20.0
+MAX_SEED: Final = 2**63
+
+Steps = int | Sequence[int] | Mapping[str, int]
+"""One number for all levels, three in the order of `contract.LEVELS`, or some of them by name."""
+Guidance = float | Sequence[float] | Mapping[str, float]
+
+N = TypeVar("N", int, float)
+
+
+@dataclass(frozen=True)
+class GenerateOptions:
+    """A call's wishes with the bundle's defaults filled in; made by `generate_options`."""
+
+    frames: int
+    seconds: float
+    """`frames / fps`: what the caller asked for, to the nearest frame."""
+    seed: int
+    steps: Mapping[str, int]
+    """Diffusion steps of each level."""
+    guidance: Mapping[str, float]
+    """Guidance scale of each level; 0 is the unconditional model, 1 is no guidance."""
+
+
+def generate_options(
+    manifest: Manifest,
+    *,
+    seconds: float | None = None,
+    seed: int | None = None,
+    steps: Steps | None = None,
+    guidance: Guidance | None = None,
+) -> GenerateOptions:
+    """Check a call's wishes; None takes the bundle's default.
+
+    Args:
+        manifest: of the bundle that will run.
+        seconds: length of the clip.
+        seed: 0 to 2**63 - 1; None draws one from the operating system, to be found in the result.
+        steps: diffusion steps, see `Steps`.
+        guidance: guidance scale, 0 to 20, see `Guidance`.
+
+    Raises:
+        InvalidInputError: naming the option, its value and what is allowed.
+    """
+    frames = frame_count(manifest, manifest.defaults.seconds if seconds is None else seconds)
+
+    def checked_steps(value: object, name: str) -> int:
+        return _steps(value, name, manifest.schedule)
+
+    return GenerateOptions(
+        frames=frames,
+        seconds=frames / manifest.fps,
+        seed=_seed(seed),
+        steps=_per_level(steps, "steps", manifest.defaults.steps, checked_steps),
+        guidance=_per_level(guidance, "guidance", manifest.defaults.guidance, _guidance),
+    )
+
+
+def frame_count(manifest: Manifest, seconds: float) -> int:
+    """Frames of a clip of that length, to the nearest.
+
+    Raises:
+        InvalidInputError: not a finite number, or outside what the model was trained on.
+    """
+    shortest, longest = manifest.seconds_limits
+    allowed = f"must be {shortest:g} to {longest:g} seconds with this bundle"
+    length = _finite(seconds, "seconds", allowed)
+    frames = length * manifest.fps
+    # Compared before rounding to an int, which a huge product would turn into a number of 300 digits.
+    if not manifest.frames.min - 0.5 <= frames <= manifest.frames.max + 0.5:
+        raise InvalidInputError(f"seconds {allowed}, not {length:g}")
+    return min(max(round(frames), manifest.frames.min), manifest.frames.max)
+
+
+def _seed(seed: object) -> int:
+    if seed is None:
+        # 32 bits are plenty of takes, and short enough to type again.
+        return secrets.randbelow(2**32)
+    number = _whole(seed)
+    if number is None or not 0 <= number < MAX_SEED:
+        raise InvalidInputError(f"seed must be a whole number from 0 to 2**63 - 1, not {_shown(seed)}")
+    return number
+
+
+def _steps(value: object, name: str, schedule: ScheduleSpec) -> int:
+    most = schedule.train_steps
+    steps = _whole(value)
+    if steps is None or not 1 <= steps <= most:
+        raise InvalidInputError(f"{name} must be a whole number from 1 to {most}, not {_shown(value)}")
+    last = (steps - 1) * (most // steps) + schedule.steps_offset
+    if schedule.spacing == "leading" and last >= most:
+        raise InvalidInputError(
+            f"{name}: {steps} steps would start at timestep {last} of a schedule of {most}; take fewer steps"
+        )
+    return steps
+
+
+def _guidance(value: object, name: str) -> float:
+    allowed = f"must be 0 to {MAX_GUIDANCE:g}"
+    scale = _finite(value, name, allowed)
+    if not 0 <= scale <= MAX_GUIDANCE:
+        raise InvalidInputError(f"{name} {allowed}, not {scale:g}")
+    return scale
+
+
+def _per_level(
+    wish: object, name: str, defaults: Mapping[str, N], check: Callable[[object, str], N]
+) -> Mapping[str, N]:
+    if wish is None:
+        return defaults
+    if isinstance(wish, Mapping):
+        for level in wish:
+            if level not in LEVELS:
+                raise InvalidInputError(
+                    f"{name}: unknown level {_shown(level)}; the levels are {list(LEVELS)}"
+                )
+        given: dict[str, object] = dict(wish)
+    elif isinstance(wish, list | tuple):
+        if len(wish) != len(LEVELS):
+            raise InvalidInputError(f"{name} must be one number or {len(LEVELS)}, not {len(wish)}")
+        given = dict(zip(LEVELS, wish, strict=True))
+    else:
+        given = dict.fromkeys(LEVELS, wish)
+    return MappingProxyType(
+        {
+            level: check(given[level], f"{name} of level {level}") if level in given else defaults[level]
+            for level in LEVELS
+        }
+    )
+
+
+def _whole(value: object) -> int | None:
+    # bool is an int to Python, but nobody means seed=True; numpy's integers are Integral.
+    return int(value) if isinstance(value, Integral) and not isinstance(value, bool) else None
+
+
+def _finite(value: object, name: str, allowed: str) -> float:
+    if isinstance(value, bool) or not isinstance(value, Real):
+        raise InvalidInputError(f"{name} {allowed}, not {_shown(value)}")
+    try:
+        number = float(value)
+    except OverflowError:  # an integer beyond 1e308
+        number = math.inf
+    if not math.isfinite(number):
+        raise InvalidInputError(f"{name} {allowed}, not {number}")
+    return number
+
+
+def _shown(value: object) -> str:
+    """A short text for a message, whatever the caller passed: some reprs are megabytes, some raise."""
+    if isinstance(value, int) and abs(value) >= 10**40:
+        return "a number of more than 40 digits"
+    if value is None or isinstance(value, str | int | float):
+        return repr(value)[:80]
+    return f"a value of type {type(value).__name__}"
