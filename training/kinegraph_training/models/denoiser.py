@@ -1,8 +1,31 @@
-"""Denoisers."""
+"""The three cross-attention denoisers (GraphMotion, section 3.3; conditions by cross-attention as in EnergyMoGen).
+
+Split along what changes: `ContextEncoder` runs once per sample and yields every layer's keys and values, `Clock` is
+tabulated at export, `StepNetwork` runs at every diffusion step on the latent tokens alone.
+
+Shapes: r latent rows, a attention rows (r = a in training), c latent tokens, z latent width, n nodes, s context
+tokens, d width, h heads.
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+
+import torch
+from torch import Tensor, nn
+
+from kinegraph.contract import NODE_KINDS, NULL_KIND
+from kinegraph_training.models.transformer import (
+    FeedForward,
+    SelfAttention,
+    SkipStack,
+    attend,
+    merge_heads,
+    sinusoid,
+    split_heads,
+)
+
+KeyValue = list[tuple[Tensor, Tensor]]
 
 
 @dataclass(frozen=True)
@@ -18,6 +41,149 @@ class DenoiserConfig:
     train_steps: int = 1000
     max_frames: int = 196
     max_order: int = 16
-    """Largest order of an action; later ones share the last embedding."""
-    kind: str = "cross"
-    """`cross` (the product) or `concat` (GraphMotion as published)."""
+    """Orders of actions with an embedding of their own; later actions share the last."""
+
+
+@dataclass(frozen=True)
+class LatentShape:
+    """Latent of one level."""
+
+    tokens: int
+    width: int
+
+
+@dataclass(frozen=True)
+class Mixing:
+    """How attention rows and latent rows belong together; None in training, where they are the same."""
+
+    src: Tensor
+    """(a,) latent row that each attention row reads."""
+    combine: Tensor
+    """(r, a) mixes attention outputs back into rows."""
+
+
+class ContextEncoder(nn.Module):
+    """Nodes and the coarser latent -> keys and values of every layer."""
+
+    def __init__(self, config: DenoiserConfig, coarse: LatentShape | None) -> None:
+        super().__init__()
+        width = config.width
+        self.heads, self.last_order = config.heads, config.max_order - 1
+        self.node_in = nn.Linear(config.text_width, width)
+        self.kind = nn.Embedding(len(NODE_KINDS) + 1, width)
+        self.order = nn.Embedding(config.max_order, width)
+        self.coarse_in = nn.Linear(coarse.width, width) if coarse else None
+        self.coarse_position = nn.Parameter(torch.randn(coarse.tokens, width) * 0.02) if coarse else None
+        self.norm = nn.LayerNorm(width)
+        self.key_value = nn.ModuleList(nn.Linear(width, 2 * width) for _ in range(config.layers))
+
+    def forward(self, nodes: Tensor, kind: Tensor, order: Tensor, coarse: Tensor | None = None) -> KeyValue:
+        """nodes (a, n, D), kind and order (a, n), coarse (a, c', z) -> per layer key and value (a, h, s, d/h).
+
+        A node of kind NULL_KIND is the learned null token, whatever its features.
+        """
+        given = (kind != NULL_KIND).to(nodes.dtype)[..., None]
+        context = self.node_in(nodes) * given + self.kind(kind) + self.order(order.clamp(max=self.last_order)) * given
+        if self.coarse_in is not None:
+            context = torch.cat([context, self.coarse_in(coarse) + self.coarse_position], dim=1)
+        context = self.norm(context)
+        pairs = (layer(context).chunk(2, dim=-1) for layer in self.key_value)
+        return [(split_heads(key, self.heads), split_heads(value, self.heads)) for key, value in pairs]
+
+
+class Clock(nn.Module):
+    """Embedding of the diffusion step plus that of the clip's length: a latent that does not know how long its clip
+    is comes out time-warped."""
+
+    def __init__(self, config: DenoiserConfig) -> None:
+        super().__init__()
+        self.width = config.width
+        self.time = nn.Sequential(nn.Linear(config.width, config.width), nn.SiLU(), nn.Linear(config.width, config.width))
+        self.length = nn.Sequential(
+            nn.Linear(config.width, config.width), nn.SiLU(), nn.Linear(config.width, config.width)
+        )
+
+    def of_time(self, step: Tensor) -> Tensor:
+        """(...,) diffusion steps -> (..., d)."""
+        return self.time(sinusoid(step.float(), self.width))
+
+    def of_length(self, frames: Tensor) -> Tensor:
+        """(...,) frames -> (..., d)."""
+        return self.length(sinusoid(frames.float(), self.width))
+
+    def forward(self, step: Tensor, frames: Tensor) -> Tensor:
+        """(r,), (r,) -> (r, 1, d)."""
+        return (self.of_time(step) + self.of_length(frames))[:, None]
+
+
+class CrossAttention(nn.Module):
+    """Latent tokens attend to a context given as keys and values.
+
+    z' of EnergyMoGen's Eq. 9 is mixed over attention rows *before* the output projection, inside every layer.
+    """
+
+    def __init__(self, width: int, heads: int) -> None:
+        super().__init__()
+        self.heads = heads
+        self.query = nn.Linear(width, width)
+        self.out = nn.Linear(width, width)
+
+    def forward(self, x: Tensor, key: Tensor, value: Tensor, bias: Tensor, mixing: Mixing | None) -> Tensor:
+        query = split_heads(self.query(x), self.heads)
+        if mixing is None:
+            return self.out(merge_heads(attend(query, key, value, bias)))
+        attended = merge_heads(attend(query[mixing.src], key, value, bias))
+        rows, tokens, width = attended.shape
+        mixed = mixing.combine @ attended.reshape(rows, tokens * width)
+        return self.out(mixed.reshape(-1, tokens, width))
+
+
+class DenoiserLayer(nn.Module):
+    """Pre-norm self-attention over latent tokens, cross-attention to the context, feed-forward."""
+
+    def __init__(self, config: DenoiserConfig) -> None:
+        super().__init__()
+        self.norm_self = nn.LayerNorm(config.width)
+        self.self_attention = SelfAttention(config.width, config.heads)
+        self.norm_cross = nn.LayerNorm(config.width)
+        self.cross_attention = CrossAttention(config.width, config.heads)
+        self.norm_feed = nn.LayerNorm(config.width)
+        self.feed = FeedForward(config.width, config.feed_forward)
+        self.dropout = nn.Dropout(config.dropout)
+
+    def forward(self, x: Tensor, pair: tuple[Tensor, Tensor], bias: Tensor, mixing: Mixing | None) -> Tensor:
+        x = x + self.dropout(self.self_attention(self.norm_self(x), None))
+        x = x + self.dropout(self.cross_attention(self.norm_cross(x), *pair, bias, mixing))
+        return x + self.dropout(self.feed(self.norm_feed(x)))
+
+
+class StepNetwork(SkipStack):
+    """Predicts the noise in a latent, one diffusion step."""
+
+    def __init__(self, config: DenoiserConfig, latent: LatentShape) -> None:
+        super().__init__([DenoiserLayer(config) for _ in range(config.layers)], config.width)
+        self.latent_in = nn.Linear(latent.width, config.width)
+        self.position = nn.Parameter(torch.randn(latent.tokens, config.width) * 0.02)
+        self.noise_out = nn.Linear(config.width, latent.width)
+
+    def forward(  # type: ignore[override]
+        self, latent: Tensor, temb: Tensor, context: KeyValue, bias: Tensor, mixing: Mixing | None = None
+    ) -> Tensor:
+        """latent (r, c, z), temb (r, 1, d), context of (a, h, s, d/h), bias (a, 1, 1 or c, s) -> noise (r, c, z)."""
+        x = self.latent_in(latent) + self.position + temb
+        kept: list[Tensor] = []
+        for index, (layer, pair) in enumerate(zip(self.layers, context, strict=True)):
+            x = layer(self.join(index, x, kept), pair, bias, mixing)
+            if index < len(self.layers) // 2:
+                kept.append(x)
+        return self.noise_out(self.norm(x))
+
+
+class Denoiser(nn.Module):
+    """One level: context encoder, clock and step network."""
+
+    def __init__(self, config: DenoiserConfig, latent: LatentShape, coarse: LatentShape | None) -> None:
+        super().__init__()
+        self.context = ContextEncoder(config, coarse)
+        self.clock = Clock(config)
+        self.step = StepNetwork(config, latent)

@@ -1,0 +1,1 @@
+"""From trained checkpoints to a bundle: modules -> ONNX -> parity -> manifest."""

@@ -1,0 +1,148 @@
+"""Every trained graph of a bundle as ONNX, validated against its module."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from torch import nn
+
+from kinegraph.contract import LEVELS, GraphContract, LevelSpec, contracts
+from kinegraph_export.modules import ContextGraph, DecoderGraph, MotionContextGraph, StepGraph
+from kinegraph_export.onnx_export import halved_weights, serialised, to_onnx
+from kinegraph_export.parity import max_difference, module_arguments
+from kinegraph_training.models.hierarchy import Hierarchy
+from kinegraph_training.models.vae import MotionVae
+
+Inputs = Callable[[np.random.Generator], dict[str, np.ndarray]]
+
+
+@dataclass(frozen=True)
+class Trained:
+    """Everything that was trained, in evaluation mode, weights rounded to what the bundle stores."""
+
+    hierarchy: Hierarchy
+    vae: MotionVae
+    """Of the specific level."""
+    centre: torch.Tensor
+    scale: torch.Tensor
+    """(c, z) standardisation of the specific level's latent."""
+
+
+def level_specs(trained: Trained) -> dict[str, LevelSpec]:
+    """The manifest's levels."""
+    config = trained.hierarchy.config
+    kinds = ("motion", "action", "specific")
+    return {
+        level: LevelSpec(
+            tokens=shape.tokens,
+            latent_width=shape.width,
+            width=config.width,
+            heads=config.heads,
+            layers=config.layers,
+            nodes=kinds[: index + 1],
+        )
+        for index, (level, shape) in enumerate(trained.hierarchy.latents.items())
+    }
+
+
+def graph_modules(trained: Trained) -> dict[str, nn.Module]:
+    """Module of every trained graph by the graph's name."""
+    modules: dict[str, nn.Module] = {"graph_encoder": trained.hierarchy.graph_encoder}
+    for level in LEVELS:
+        denoiser = trained.hierarchy.levels[level]
+        wrap = MotionContextGraph if level == LEVELS[0] else ContextGraph
+        modules[f"context_{level}"] = wrap(denoiser.context)
+        modules[f"step_{level}"] = StepGraph(denoiser.step)
+    modules["decoder"] = DecoderGraph(trained.vae, trained.centre, trained.scale)
+    return {name: module.eval() for name, module in modules.items()}
+
+
+def drawn_inputs(contract: GraphContract, frames_per_token: int) -> Inputs:
+    """Random inputs of a contract, with new sizes at every call; ids and masks are meaningful ones."""
+
+    def draw(rng: np.random.Generator) -> dict[str, np.ndarray]:
+        free = sorted({axis for spec in contract.inputs for axis in spec.axes if isinstance(axis, str)})
+        size = {axis: int(rng.integers(2, 12)) for axis in free}
+        if "L" in size:
+            size["L"] = frames_per_token * int(rng.integers(4, 49))
+        feeds = {}
+        for spec in contract.inputs:
+            shape = tuple(size[axis] if isinstance(axis, str) else axis for axis in spec.axes)
+            feeds[spec.name] = _values(spec.name, shape, size, rng)
+        return feeds
+
+    return draw
+
+
+def _values(name: str, shape: tuple[int, ...], size: dict[str, int], rng: np.random.Generator) -> np.ndarray:
+    if name == "relation":
+        relation = rng.integers(-1, 12, shape)
+        relation[:, np.arange(shape[1]), np.arange(shape[1])] = 11
+        return relation
+    if name == "kind":
+        return rng.integers(0, 4, shape)
+    if name == "order":
+        return rng.integers(0, 20, shape)
+    if name == "src":
+        return rng.integers(0, size["R"], shape)
+    if name == "edge_weight":
+        return rng.choice([0.0, 0.5, 1.0, 2.0], shape).astype(np.float32)
+    if name in ("node_mask", "frame_mask"):
+        length = rng.integers(shape[1] // 2 + 1, shape[1] + 1, shape[0])
+        return (np.arange(shape[1]) < length[:, None]).astype(np.float32)
+    if name == "bias":
+        return rng.choice([0.0, 0.0, -0.7, -1e4], shape).astype(np.float32)
+    return rng.standard_normal(shape).astype(np.float32)
+
+
+def export_graph(name: str, module: nn.Module, contract: GraphContract, frames_per_token: int) -> tuple[bytes, float]:
+    """One graph as ONNX bytes, with its largest difference from the module.
+
+    Raises:
+        ParityError: the exported graph is not the module.
+    """
+    draw = drawn_inputs(contract, frames_per_token)
+    sample = draw(np.random.Generator(np.random.PCG64(1)))
+    example = tuple(module_arguments(contract, sample))
+    model = to_onnx(
+        module,
+        example,
+        [spec.name for spec in contract.inputs],
+        [spec.name for spec in contract.outputs],
+        dynamic_shapes(contract, frames_per_token),
+    )
+    data = serialised(halved_weights(model))
+    return data, max_difference(data, module, contract, draw)
+
+
+def dynamic_shapes(contract: GraphContract, frames_per_token: int) -> tuple[object, ...]:
+    """torch.export's description of the free axes, nested like the module's arguments."""
+    dims: dict[str, object] = {}
+    for spec in contract.inputs:
+        for axis in spec.axes:
+            if isinstance(axis, str) and axis not in dims:
+                dims[axis] = torch.export.Dim.DYNAMIC
+    shapes: list[object] = []
+    context: list[object] = []
+    for spec in contract.inputs:
+        free = {place: dims[axis] for place, axis in enumerate(spec.axes) if isinstance(axis, str)}
+        if spec.name.startswith(("key_", "value_")):
+            if not context:
+                shapes.append(context)
+            context.append(free)
+        else:
+            shapes.append(free)
+    return tuple(shapes)
+
+
+def export_graphs(trained: Trained, text_width: int, features: int) -> tuple[dict[str, bytes], dict[str, float]]:
+    """All trained graphs: file name -> bytes, and parity per graph."""
+    declared = contracts(level_specs(trained), text_width, features)
+    files, parity = {}, {}
+    for name, module in graph_modules(trained).items():
+        contract = declared[name]
+        files[contract.file], parity[name] = export_graph(name, module, contract, trained.vae.config.frames_per_token)
+    return files, parity

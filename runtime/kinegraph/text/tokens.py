@@ -1,0 +1,60 @@
+"""Word pieces with the characters they came from."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinegraph.errors import BundleFormatError, MissingExtraError
+
+IntArray = NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class TokenIds:
+    """One caption as T word pieces, special ones included."""
+
+    ids: IntArray
+    """(T,)."""
+    mask: IntArray
+    """(T,) ones."""
+    offsets: IntArray
+    """(T, 2) start and end in characters of the caption; (0, 0) for special pieces."""
+
+
+class CaptionTokenizer:
+    """The tokenizer a bundle carries; safe to share between threads.
+
+    Raises:
+        MissingExtraError: the package `tokenizers` is not installed.
+        BundleFormatError: the bytes are no tokenizer.
+    """
+
+    def __init__(self, tokenizer_json: bytes) -> None:
+        try:
+            from tokenizers import Tokenizer
+        except ImportError as error:
+            raise MissingExtraError("captions need the package tokenizers: pip install tokenizers") from error
+        try:
+            self._tokenizer = Tokenizer.from_str(tokenizer_json.decode("utf-8"))
+        except Exception as error:  # noqa: BLE001 - the Rust side raises bare Exception
+            raise BundleFormatError(f"tokenizer.json is not a tokenizer: {error}") from error
+        # the file may ask for both; captions are bounded elsewhere and a batch of one needs no padding
+        self._tokenizer.no_truncation()
+        self._tokenizer.no_padding()
+
+    def encode(self, text: str) -> TokenIds:
+        """Pieces of a caption; T is at least 2."""
+        encoding = self._tokenizer.encode(text)
+        return TokenIds(
+            ids=np.array(encoding.ids, dtype=np.int64),
+            mask=np.ones(len(encoding.ids), dtype=np.int64),
+            offsets=np.array(encoding.offsets, dtype=np.int64).reshape(-1, 2),
+        )
+
+
+def span_mask(offsets: IntArray, start: int, end: int) -> NDArray[np.bool_]:
+    """(T,) True for pieces that share a character with [start, end); special pieces never do."""
+    return (offsets[:, 0] < end) & (offsets[:, 1] > start) & (offsets[:, 1] > offsets[:, 0])

@@ -1,0 +1,114 @@
+"""Captions as graphs with node features, computed once: neither the parser nor the text encoder is trained.
+
+The features come from exactly the files a bundle will carry (the quantised encoder included), one caption at a time,
+so that what is trained on is what will be seen.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import onnxruntime
+from numpy.typing import NDArray
+from tqdm import tqdm
+
+from kinegraph.conditions import GraphArrays, graph_arrays
+from kinegraph.errors import InvalidInputError
+from kinegraph.text.parser import GraphParser
+from kinegraph.text.tokens import CaptionTokenizer
+
+ASSETS = ("text_encoder.onnx", "tokenizer.json", "parser.bin")
+
+
+class CaptionEncoder:
+    """Parser, tokenizer and text encoder of a folder of assets (a bundle's folder will do)."""
+
+    def __init__(self, folder: Path, threads: int = 1) -> None:
+        missing = [name for name in ASSETS if not (folder / name).is_file()]
+        if missing:
+            raise InvalidInputError(
+                f"{folder} lacks {', '.join(missing)}; write them with `python -m kinegraph_export.text_assets`"
+            )
+        options = onnxruntime.SessionOptions()
+        options.intra_op_num_threads = threads
+        self.session = onnxruntime.InferenceSession(
+            (folder / "text_encoder.onnx").read_bytes(), options, providers=["CPUExecutionProvider"]
+        )
+        self.tokenizer = CaptionTokenizer((folder / "tokenizer.json").read_bytes())
+        self.parser = GraphParser((folder / "parser.bin").read_bytes())
+
+    def __call__(self, caption: str) -> GraphArrays:
+        """Parse and encode one caption."""
+        tokens = self.tokenizer.encode(caption)
+        hidden, pooled = self.session.run(
+            ["hidden", "pooled"], {"input_ids": tokens.ids[None], "attention_mask": tokens.mask[None]}
+        )
+        return graph_arrays(self.parser.parse(caption), tokens, hidden[0], pooled[0])
+
+
+@dataclass(frozen=True)
+class CaptionGraphs:
+    """Graphs of many captions, end to end: caption i owns rows offsets[i]:offsets[i + 1] of the node arrays."""
+
+    captions: dict[str, int]
+    offsets: NDArray[np.int64]
+    nodes: NDArray[np.float16]
+    """(rows, D)."""
+    kind: NDArray[np.int64]
+    order: NDArray[np.int64]
+    relation: list[NDArray[np.int64]]
+    """Per caption (N, N)."""
+
+    def get(self, caption: str) -> GraphArrays:
+        """One caption's graph, all weights 1."""
+        index = self.captions[caption]
+        rows = slice(self.offsets[index], self.offsets[index + 1])
+        count = self.offsets[index + 1] - self.offsets[index]
+        return GraphArrays(
+            nodes=self.nodes[rows].astype(np.float32),
+            relation=self.relation[index],
+            edge_weight=np.ones((count, count), dtype=np.float32),
+            kind=self.kind[rows],
+            order=self.order[rows],
+            path_weight=np.ones(count, dtype=np.float32),
+        )
+
+
+def encode_captions(captions: Sequence[str], assets: Path, cache: Path) -> CaptionGraphs:
+    """Encode distinct captions, or read them back if `cache` holds exactly these."""
+    distinct = sorted(set(captions))
+    if cache.is_file():
+        with np.load(cache, allow_pickle=False) as stored:
+            if stored["captions"].tolist() == distinct:
+                return _unpacked(dict(stored))
+    encoder = CaptionEncoder(assets)
+    graphs = [encoder(caption) for caption in tqdm(distinct, desc="captions", unit="caption")]
+    packed = {
+        "captions": np.array(distinct),
+        "offsets": np.cumsum([0] + [len(graph.kind) for graph in graphs]),
+        "nodes": np.concatenate([graph.nodes for graph in graphs]).astype(np.float16),
+        "kind": np.concatenate([graph.kind for graph in graphs]),
+        "order": np.concatenate([graph.order for graph in graphs]),
+        "relation": np.concatenate([graph.relation.ravel() for graph in graphs]).astype(np.int8),
+    }
+    cache.parent.mkdir(parents=True, exist_ok=True)
+    with cache.open("wb") as file:
+        np.savez(file, **packed)
+    return _unpacked(packed)
+
+
+def _unpacked(packed: dict[str, np.ndarray]) -> CaptionGraphs:
+    offsets = packed["offsets"].astype(np.int64)
+    sizes = np.diff(offsets)
+    flat = np.split(packed["relation"].astype(np.int64), np.cumsum(sizes**2)[:-1])
+    return CaptionGraphs(
+        captions={str(caption): index for index, caption in enumerate(packed["captions"])},
+        offsets=offsets,
+        nodes=packed["nodes"],
+        kind=packed["kind"].astype(np.int64),
+        order=packed["order"].astype(np.int64),
+        relation=[part.reshape(size, size) for part, size in zip(flat, sizes, strict=True)],
+    )
