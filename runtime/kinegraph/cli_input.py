@@ -1,0 +1,111 @@
+"""What the command line takes from its arguments and files."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+from kinegraph.errors import InvalidInputError, KinegraphError
+
+if TYPE_CHECKING:
+    from kinegraph.graph import SemanticGraph
+
+MAX_GRAPH_BYTES: Final = 1 << 20
+MAX_CAPTIONS_BYTES: Final = 1 << 26
+
+
+def level_steps(text: str) -> int | tuple[int, ...]:
+    """`15` or `15,15,20`; the argparse type of `--steps`."""
+    try:
+        numbers = tuple(int(part) for part in text.split(","))
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"{text!r} is neither a number nor three, like 15,15,20") from None
+    return numbers[0] if len(numbers) == 1 else numbers
+
+
+def level_numbers(text: str) -> float | tuple[float, ...]:
+    """`2.5` or `2.5,2.5,3`; the argparse type of `--guidance`."""
+    try:
+        numbers = tuple(float(part) for part in text.split(","))
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"{text!r} is neither a number nor three, like 2.5,2.5,3") from None
+    return numbers[0] if len(numbers) == 1 else numbers
+
+
+def input_graph(text: str | None, graph: str | None) -> str | SemanticGraph:
+    """The sentence, or the graph read from a file or from stdin (`-`).
+
+    Raises:
+        InvalidInputError: neither or both are given, or the file cannot be read.
+        InvalidGraphError: the file holds no graph.
+    """
+    if (text is None) == (graph is None):
+        raise InvalidInputError("give either a sentence or --graph FILE")
+    if graph is None:
+        return text or ""
+    from kinegraph.graph import SemanticGraph
+
+    content = _read_stdin(MAX_GRAPH_BYTES) if graph == "-" else _read_text(Path(graph), MAX_GRAPH_BYTES)
+    try:
+        return SemanticGraph.from_json(content)
+    except KinegraphError as error:
+        raise type(error)(f"{'stdin' if graph == '-' else graph}: {error}") from error
+
+
+def captions(text: str | None, jsonl: Path | None) -> list[tuple[str, str]]:
+    """What to parse, each with its place for messages ("captions.jsonl, line 3"; empty for a sentence).
+
+    Raises:
+        InvalidInputError: neither or both are given, the file cannot be read, or a line holds no caption.
+    """
+    if (text is None) == (jsonl is None):
+        raise InvalidInputError("give either a sentence or --jsonl FILE")
+    if jsonl is None:
+        return [("", text or "")]
+    # Not splitlines(): that would also break captions at characters like U+2028.
+    lines = _read_text(jsonl, MAX_CAPTIONS_BYTES).replace("\r\n", "\n").removesuffix("\n").split("\n")
+    places = [f"{jsonl}, line {number}" for number in range(1, len(lines) + 1)]
+    return [(place, _caption(line, place)) for place, line in zip(places, lines, strict=True)]
+
+
+def _caption(line: str, place: str) -> str:
+    if not line.strip():
+        raise InvalidInputError(f"{place}: empty; a line is a caption or an object with the key caption")
+    if not line.lstrip().startswith("{"):
+        return line
+    try:
+        value = json.loads(line)
+    except (ValueError, RecursionError) as error:
+        raise InvalidInputError(f"{place}: not valid JSON: {error}") from error
+    caption = value.get("caption")
+    if not isinstance(caption, str):
+        raise InvalidInputError(f"{place}: the object needs a key caption with a text")
+    return caption
+
+
+def _read_text(path: Path, most: int) -> str:
+    try:
+        if not path.is_file():
+            raise InvalidInputError(f"no such file: {str(path)!r}")
+        with path.open("rb") as file:
+            return _decode(file.read(most + 1), str(path), most)
+    except (OSError, ValueError) as error:
+        if isinstance(error, KinegraphError):
+            raise
+        raise InvalidInputError(f"cannot read {str(path)!r}: {error}") from error
+
+
+def _read_stdin(most: int) -> str:
+    return _decode(sys.stdin.buffer.read(most + 1), "stdin", most)
+
+
+def _decode(data: bytes, name: str, most: int) -> str:
+    if len(data) > most:
+        raise InvalidInputError(f"{name} is larger than {most} bytes")
+    try:
+        return data.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise InvalidInputError(f"{name} is not UTF-8 text: {error}") from error
