@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from typing import Final, Literal
 
 from kinegraph.contract import GraphContract, LevelSpec, contracts
+from kinegraph.diffusion.schedule import NoiseSchedule
 from kinegraph.errors import BundleIntegrityError
 from kinegraph.manifest_checks import check_manifest, check_version
 from kinegraph.strict_json import decode, parse_object, plain
@@ -70,6 +71,13 @@ class ScheduleSpec:
     steps_offset: int
     spacing: Literal["leading", "trailing"]
     prediction: Literal["epsilon"]
+
+    @property
+    def noise(self) -> NoiseSchedule:
+        """The schedule to sample with."""
+        return NoiseSchedule(
+            self.train_steps, self.beta_start, self.beta_end, self.steps_offset, self.spacing
+        )
 
 
 @dataclass(frozen=True)

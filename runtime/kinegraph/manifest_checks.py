@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING, Final
 
 from kinegraph.contract import GRAPHS, LEVELS, NODE_KINDS, LevelSpec
-from kinegraph.errors import BundleFormatError
+from kinegraph.errors import BundleFormatError, InvalidInputError
 from kinegraph.limits import MAX_FRAMES
 from kinegraph.motion.skeleton import JOINT_NAMES, PARENTS
 from kinegraph.text.roles import ROLES
@@ -164,11 +164,10 @@ def _check_schedule(schedule: ScheduleSpec, defaults: Defaults, frames: FrameSpe
     _check_keys(defaults.guidance, "defaults.guidance")
     for name in LEVELS:
         steps, scale = defaults.steps[name], defaults.guidance[name]
-        _require(
-            1 <= steps <= schedule.train_steps,
-            f"defaults.steps.{name}",
-            f"must be 1 to {schedule.train_steps}, found {steps}",
-        )
+        try:
+            schedule.noise.timesteps(steps)
+        except InvalidInputError as error:
+            raise BundleFormatError(f"manifest.json: defaults.steps.{name}: {error}") from error
         _require(0 <= scale <= 20, f"defaults.guidance.{name}", f"must be 0 to 20, found {scale}")
     _require(
         frames.min <= round(defaults.seconds * fps) <= frames.max,

@@ -103,11 +103,10 @@ def _steps(value: object, name: str, schedule: ScheduleSpec) -> int:
     steps = _whole(value)
     if steps is None or not 1 <= steps <= most:
         raise InvalidInputError(f"{name} must be a whole number from 1 to {most}, not {_shown(value)}")
-    last = (steps - 1) * (most // steps) + schedule.steps_offset
-    if schedule.spacing == "leading" and last >= most:
-        raise InvalidInputError(
-            f"{name}: {steps} steps would start at timestep {last} of a schedule of {most}; take fewer steps"
-        )
+    try:
+        schedule.noise.timesteps(steps)
+    except InvalidInputError as error:
+        raise InvalidInputError(f"{name}: {error}") from error
     return steps
 
 
