@@ -1,0 +1,371 @@
+"""Whatever is done to a bundle's files ends in a typed error naming the file, before anything is parsed."""
+
+from __future__ import annotations
+
+import io
+import os
+import random
+import shutil
+import sys
+import zipfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import onnxruntime
+import pytest
+from synthetic_bundle import (
+    FILLER_OPERATORS,
+    LEVEL_SPECS,
+    bundle_files,
+    field,
+    filler_model,
+    manifest_for,
+    model,
+    node,
+    tables_npz,
+    write_bundle,
+)
+
+from kinegraph.bundle import MAX_FILE_BYTES, read_bundle
+from kinegraph.contract import contracts
+from kinegraph.errors import BundleError, BundleFormatError, BundleIntegrityError
+from kinegraph.manifest import FileSpec
+from kinegraph.verify import verify_bundle
+
+FILES = sorted(bundle_files())
+posix = pytest.mark.skipif(os.name != "posix", reason="needs POSIX file types")
+
+
+@pytest.fixture
+def bundle(tmp_path: Path) -> Path:
+    return write_bundle(tmp_path / "bundle")
+
+
+@pytest.fixture
+def no_sessions(monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(*_: object, **__: object) -> None:
+        raise AssertionError("a session was made from a bundle that was not checked")
+
+    monkeypatch.setattr(onnxruntime, "InferenceSession", refuse)
+
+
+_opened: list[str] | None = None
+
+
+def _watch(event: str, arguments: tuple[Any, ...]) -> None:
+    # An open file that is wrapped a second time shows up as its number.
+    if event == "open" and _opened is not None and not isinstance(arguments[0], int):
+        _opened.append(os.fsdecode(arguments[0]))
+
+
+sys.addaudithook(_watch)
+
+
+@contextmanager
+def opened_paths() -> Iterator[list[str]]:
+    """Every path opened inside the block."""
+    global _opened
+    _opened = found = []
+    try:
+        yield found
+    finally:
+        _opened = None
+
+
+def test_a_good_bundle_is_read_whole(bundle: Path) -> None:
+    read = read_bundle(bundle)
+    assert dict(read.files) == bundle_files()
+    assert read.manifest == manifest_for(bundle_files())
+    with np.load(io.BytesIO(tables_npz())) as expected:
+        assert sorted(read.tables) == sorted(expected.files)
+        for name in expected.files:
+            np.testing.assert_array_equal(read.tables[name], expected[name])
+
+
+def test_what_was_read_cannot_be_changed(bundle: Path) -> None:
+    read = read_bundle(bundle)
+    with pytest.raises(ValueError, match="read-only"):
+        read.tables["time_motion"][0, 0] = 1.0
+    with pytest.raises(TypeError):
+        read.files["decoder.onnx"] = b""  # type: ignore[index]
+
+
+def test_each_file_is_opened_once_and_nothing_else_is(bundle: Path) -> None:
+    read_bundle(bundle)
+    with opened_paths() as opened:
+        read_bundle(bundle)
+    assert sorted(opened) == sorted(str(bundle / name) for name in [*FILES, "manifest.json"])
+
+
+@pytest.mark.usefixtures("no_sessions")
+@pytest.mark.parametrize("name", FILES)
+def test_a_flipped_bit_is_noticed(bundle: Path, name: str) -> None:
+    good = (bundle / name).read_bytes()
+    generator = random.Random(name)
+    for _ in range(200):
+        flipped = bytearray(good)
+        flipped[generator.randrange(len(good))] ^= 1 << generator.randrange(8)
+        (bundle / name).write_bytes(flipped)
+        with pytest.raises(BundleIntegrityError, match=name):
+            verify_bundle(bundle)
+
+
+@pytest.mark.usefixtures("no_sessions")
+@pytest.mark.parametrize("name", [*FILES, "manifest.json"])
+def test_cut_grown_emptied_or_missing_files_are_noticed(bundle: Path, name: str) -> None:
+    good = (bundle / name).read_bytes()
+    for broken in (good[:-1], good[: len(good) // 2], good + b"\0", b""):
+        (bundle / name).write_bytes(broken)
+        with pytest.raises(BundleIntegrityError, match=name):
+            verify_bundle(bundle)
+    (bundle / name).unlink()
+    with pytest.raises(BundleIntegrityError, match=rf"{name} is missing"):
+        verify_bundle(bundle)
+
+
+@pytest.mark.usefixtures("no_sessions")
+def test_two_swapped_files_are_noticed(bundle: Path) -> None:
+    shutil.move(bundle / "step_action.onnx", bundle / "aside")
+    shutil.move(bundle / "step_motion.onnx", bundle / "step_action.onnx")
+    shutil.move(bundle / "aside", bundle / "step_motion.onnx")
+    with pytest.raises(BundleIntegrityError, match=r"step_(motion|action)\.onnx"):
+        verify_bundle(bundle)
+
+
+@pytest.mark.parametrize(
+    "name", ["notes.txt", ".DS_Store", "weights.bin", "DECODER.ONNX", "step_action_agd.onnx"]
+)
+def test_an_extra_file_is_noticed(bundle: Path, name: str) -> None:
+    (bundle / name).write_bytes(b"x")
+    with pytest.raises(BundleIntegrityError, match=name):
+        read_bundle(bundle)
+
+
+def test_an_extra_folder_is_noticed(bundle: Path) -> None:
+    (bundle / "more").mkdir()
+    with pytest.raises(BundleIntegrityError, match="more"):
+        read_bundle(bundle)
+
+
+def test_a_file_in_other_letters_is_another_file(bundle: Path) -> None:
+    (bundle / "decoder.onnx").rename(bundle / "Decoder.onnx")
+    with pytest.raises(BundleIntegrityError, match=r"decoder\.onnx is missing"):
+        read_bundle(bundle)
+
+
+@posix
+@pytest.mark.parametrize("name", ["decoder.onnx", "manifest.json"])
+@pytest.mark.parametrize("where", ["outside", "inside", "nowhere", "itself"])
+def test_a_link_is_refused_unread(bundle: Path, tmp_path: Path, name: str, where: str) -> None:
+    target = {
+        "outside": tmp_path / "target",
+        "inside": bundle / "parser.bin",
+        "nowhere": tmp_path / "no",
+    }.get(where, bundle / name)
+    if where == "outside":
+        # Even the right content does not make a link welcome.
+        target.write_bytes((bundle / name).read_bytes())
+    (bundle / name).unlink()
+    (bundle / name).symlink_to(target)
+    with opened_paths() as opened, pytest.raises(BundleIntegrityError, match=name):
+        read_bundle(bundle)
+    assert str(tmp_path / "target") not in opened
+    assert str(bundle / name) not in opened
+
+
+@posix
+def test_a_linked_folder_inside_is_refused(bundle: Path, tmp_path: Path) -> None:
+    (tmp_path / "elsewhere").mkdir()
+    (bundle / "more").symlink_to(tmp_path / "elsewhere")
+    with pytest.raises(BundleIntegrityError, match="more"):
+        read_bundle(bundle)
+
+
+@posix
+def test_the_way_to_the_bundle_may_be_a_link(bundle: Path, tmp_path: Path) -> None:
+    (tmp_path / "current").symlink_to(bundle)
+    assert read_bundle(tmp_path / "current").path == bundle.resolve()
+
+
+@posix
+def test_hard_links_are_how_uv_installs_files(bundle: Path, tmp_path: Path) -> None:
+    os.link(bundle / "decoder.onnx", tmp_path / "cache")
+    read_bundle(bundle)
+    (tmp_path / "cache").write_bytes(b"changed through the other name")
+    with pytest.raises(BundleIntegrityError, match=r"decoder\.onnx"):
+        read_bundle(bundle)
+
+
+@posix
+@pytest.mark.timeout(20)
+@pytest.mark.parametrize("name", ["decoder.onnx", "manifest.json"])
+@pytest.mark.parametrize("kind", ["fifo", "folder", "socket"])
+def test_only_regular_files_are_read(bundle: Path, name: str, kind: str) -> None:
+    (bundle / name).unlink()
+    if kind == "fifo":
+        os.mkfifo(bundle / name)
+    elif kind == "folder":
+        (bundle / name).mkdir()
+    else:
+        os.mknod(bundle / name, 0o140600)
+    with pytest.raises(BundleIntegrityError, match=name):
+        read_bundle(bundle)
+
+
+@posix
+@pytest.mark.skipif(os.name != "posix" or os.geteuid() == 0, reason="root may read everything")
+def test_an_unreadable_file_is_named(bundle: Path) -> None:
+    (bundle / "decoder.onnx").chmod(0)
+    with pytest.raises(BundleIntegrityError, match=r"decoder\.onnx cannot be opened"):
+        read_bundle(bundle)
+
+
+@pytest.mark.parametrize("path", ["missing", "a\0b", "x" * 5000])
+def test_no_such_folder(tmp_path: Path, path: str) -> None:
+    with pytest.raises(BundleError, match="no bundle at"):
+        read_bundle(tmp_path / path)
+
+
+def test_a_file_is_no_bundle(bundle: Path) -> None:
+    with pytest.raises(BundleError, match="not a folder"):
+        read_bundle(bundle / "manifest.json")
+
+
+def test_an_empty_folder_is_no_bundle(tmp_path: Path) -> None:
+    with pytest.raises(BundleIntegrityError, match=r"manifest\.json is missing"):
+        read_bundle(tmp_path)
+
+
+def test_a_huge_manifest_is_not_read(bundle: Path) -> None:
+    with (bundle / "manifest.json").open("r+b") as file:
+        file.truncate(1 << 40)
+    with pytest.raises(BundleIntegrityError, match=r"manifest\.json is too large"):
+        read_bundle(bundle)
+
+
+@pytest.mark.parametrize("size", [MAX_FILE_BYTES + 1, MAX_FILE_BYTES])
+def test_huge_files_are_not_read(tmp_path: Path, size: int) -> None:
+    entries = dict(manifest_for(bundle_files()).files)
+    for name in ("decoder.onnx", "parser.bin", "tokenizer.json"):
+        entries[name] = FileSpec("0" * 64, size)
+    folder = write_bundle(tmp_path / "huge", files=entries)
+    with opened_paths() as opened, pytest.raises(BundleFormatError, match=r"bytes; a (file|bundle) may have"):
+        read_bundle(folder)
+    assert opened == [str(folder / "manifest.json")]
+
+
+@pytest.mark.parametrize(
+    ("data", "message"),
+    [
+        (b"no archive", "not an npz"),
+        (tables_npz()[:-40], "not an npz"),
+        (tables_npz(extra=np.zeros(1)), "exactly"),
+        (tables_npz(time_motion=np.zeros((20, 9), np.float32)), "larger than|must be float32"),
+        (tables_npz(time_motion=np.zeros((19, 8), np.float32)), "must be float32"),
+        (tables_npz(time_motion=np.zeros((20, 8), np.float64)), "must be float32"),
+        (tables_npz(time_motion=np.full((20, 8), np.nan, np.float32)), "NaN"),
+        (tables_npz(length_action=np.zeros((10**6, 8), np.float32)), "larger than"),
+    ],
+    ids=["bytes", "cut", "extra", "wide", "short", "double", "nan", "bomb"],
+)
+def test_broken_tables_are_refused(tmp_path: Path, data: bytes, message: str) -> None:
+    folder = write_bundle(tmp_path / "tables", {**bundle_files(), "tables.npz": data})
+    with pytest.raises(BundleFormatError, match=rf"tables\.npz.*({message})"):
+        read_bundle(folder)
+
+
+class Bomb:
+    """Unpickling it would create a file."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+
+    def __reduce__(self) -> tuple[object, ...]:
+        return Path.touch, (self.path,)
+
+
+def test_a_pickle_in_the_tables_is_not_opened(tmp_path: Path) -> None:
+    trap = np.empty((20, 8), dtype=object)
+    trap[:] = Bomb(tmp_path / "executed")
+    folder = write_bundle(tmp_path / "pickle", {**bundle_files(), "tables.npz": tables_npz(time_motion=trap)})
+    with pytest.raises(BundleFormatError, match=r"tables\.npz"):
+        read_bundle(folder)
+    assert not (tmp_path / "executed").exists()
+
+
+def test_a_repeated_member_of_the_tables_is_refused(tmp_path: Path) -> None:
+    buffer = io.BytesIO(tables_npz())
+    with zipfile.ZipFile(buffer, "a") as archive, pytest.warns(UserWarning, match="Duplicate"):
+        archive.writestr("time_motion.npy", b"another one")
+    folder = write_bundle(tmp_path / "twice", {**bundle_files(), "tables.npz": buffer.getvalue()})
+    with pytest.raises(BundleFormatError, match="exactly"):
+        read_bundle(folder)
+
+
+def external_decoder(location: str) -> bytes:
+    """The decoder's filler with an initializer whose content is said to lie in another file."""
+    entry = field(13, field(1, "location") + field(2, location))
+    tensor = field(1, 4) + field(2, 1) + field(8, "weights") + entry + field(14, 1)
+    contract = contracts(LEVEL_SPECS, 12, 137)["decoder"]
+    whole = filler_model(contract)
+    # A second `graph` field is merged into the first by every protobuf reader.
+    return whole + field(7, field(5, tensor))
+
+
+@pytest.mark.usefixtures("no_sessions")
+@pytest.mark.parametrize(
+    "location", ["weights.bin", "../weights.bin", "/etc/hostname", "parser.bin", "*/_ORT_MEM_ADDR_/*"]
+)
+def test_tensors_outside_the_file_are_refused(tmp_path: Path, location: str) -> None:
+    folder = write_bundle(
+        tmp_path / "external", {**bundle_files(), "decoder.onnx": external_decoder(location)}
+    )
+    with pytest.raises(BundleFormatError, match=r"decoder\.onnx keeps tensors in another file"):
+        read_bundle(folder)
+
+
+@pytest.mark.usefixtures("no_sessions")
+def test_the_ort_format_is_refused(tmp_path: Path) -> None:
+    folder = write_bundle(tmp_path / "ort", {**bundle_files(), "decoder.onnx": b"\x18\0\0\0ORTM" + bytes(64)})
+    with pytest.raises(BundleFormatError, match=r"decoder\.onnx is in the ORT format"):
+        read_bundle(folder)
+
+
+def test_verify_tells_what_it_checked(bundle: Path) -> None:
+    report = verify_bundle(bundle)
+    assert (report.name, report.version) == ("synthetic", "0.0.1")
+    assert report.files == {name: len(data) for name, data in bundle_files().items()}
+    assert report.operators == {f"{name}.onnx": len(FILLER_OPERATORS) for name in report.sessions}
+
+
+def test_verify_refuses_an_operator_that_is_not_listed(tmp_path: Path) -> None:
+    contract = contracts(LEVEL_SPECS, 12, 137)["decoder"]
+    foreign = filler_model(contract) + field(7, field(1, node("Identity", ["unique"], ["spare"])))
+    folder = write_bundle(tmp_path / "foreign", {**bundle_files(), "decoder.onnx": foreign})
+    with pytest.raises(BundleFormatError, match=r"decoder\.onnx uses the operator ai\.onnx::Identity"):
+        verify_bundle(folder)
+
+
+def test_verify_refuses_a_listed_operator_that_is_not_there(tmp_path: Path) -> None:
+    operators = dict(manifest_for(bundle_files()).operators)
+    operators["decoder.onnx"] = ("ai.onnx::Add", *FILLER_OPERATORS)
+    folder = write_bundle(tmp_path / "listed", operators=operators)
+    with pytest.raises(BundleFormatError, match=r"lists ai\.onnx::Add for decoder\.onnx"):
+        verify_bundle(folder)
+
+
+def test_verify_refuses_a_graph_that_breaks_the_contract(tmp_path: Path) -> None:
+    swapped = {**bundle_files(), "step_motion.onnx": bundle_files()["step_action.onnx"]}
+    with pytest.raises(BundleFormatError, match=r"step_motion\.onnx: input 'latent'"):
+        verify_bundle(write_bundle(tmp_path / "swapped", swapped))
+
+
+def test_verify_refuses_what_onnxruntime_refuses(tmp_path: Path) -> None:
+    broken = {**bundle_files(), "decoder.onnx": model([node("NoSuchOperator", [], ["out"])])}
+    operators = {**manifest_for(bundle_files()).operators, "decoder.onnx": ("ai.onnx::NoSuchOperator",)}
+    folder = write_bundle(tmp_path / "broken", broken, operators=operators)
+    with pytest.raises(BundleError, match=r"cannot load decoder\.onnx"):
+        verify_bundle(folder)

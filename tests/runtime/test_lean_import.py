@@ -1,0 +1,109 @@
+"""Importing kinegraph is light, quiet and offline: seen from a fresh process."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import kinegraph
+
+RUNTIME = Path(kinegraph.__file__).resolve().parents[1]
+
+PREAMBLE = """
+import json, os, sys
+
+def forbid(event, arguments):
+    if event.startswith(("socket.", "urllib.", "http.", "subprocess.", "os.system")):
+        raise RuntimeError(f"{event} while importing")
+    if event == "open" and isinstance(arguments[2], int) and arguments[2] & (os.O_WRONLY | os.O_RDWR):
+        raise RuntimeError(f"writing {arguments[0]} while importing")
+
+sys.addaudithook(forbid)
+environment = dict(os.environ)
+"""
+
+REPORT = """
+import logging, threading
+print(json.dumps({
+    "modules": sorted(sys.modules),
+    "threads": threading.active_count(),
+    "handlers": len(logging.getLogger().handlers),
+    "environment": dict(os.environ) == environment,
+}))
+"""
+
+HEAVY = {
+    "torch",
+    "onnx",
+    "spacy",
+    "matplotlib",
+    "tokenizers",
+    "scipy",
+    "transformers",
+    "diffusers",
+    "lightning",
+}
+
+
+def run(code: str) -> dict[str, object]:
+    environment = {**os.environ, "PYTHONPATH": str(RUNTIME), "PYTHONDONTWRITEBYTECODE": "1"}
+    done = subprocess.run(
+        [sys.executable, "-c", PREAMBLE + code + REPORT],
+        env=environment,
+        capture_output=True,
+        text=True,
+        timeout=120,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    assert done.stderr == ""
+    found: dict[str, object] = json.loads(done.stdout)
+    return found
+
+
+def third_party(modules: object) -> set[str]:
+    assert isinstance(modules, list)
+    return {name.split(".")[0] for name in modules} - set(sys.stdlib_module_names) - {"kinegraph", "__main__"}
+
+
+def test_import_loads_nothing_heavy_and_changes_nothing() -> None:
+    found = run("import kinegraph\nkinegraph.MotionPipeline, kinegraph.Clip, kinegraph.SemanticGraph\n")
+    loaded = third_party(found["modules"])
+    assert "onnxruntime" in loaded
+    assert not loaded & HEAVY
+    assert found["threads"] == 1
+    assert found["handlers"] == 0
+    assert found["environment"] is True
+
+
+def test_only_numpy_and_onnxruntime_come_along() -> None:
+    baseline = third_party(run("import numpy, onnxruntime\n")["modules"])
+    found = third_party(run("import kinegraph\nkinegraph.MotionPipeline\n")["modules"])
+    assert found <= baseline
+
+
+def test_help_needs_neither_numpy_nor_onnxruntime() -> None:
+    code = """
+from kinegraph import cli
+import contextlib, io
+with contextlib.redirect_stdout(io.StringIO()) as out:
+    try:
+        cli.main(["generate", "--help"])
+    except SystemExit as end:
+        assert end.code == 0
+assert "--seconds" in out.getvalue()
+"""
+    assert third_party(run(code)["modules"]) & {"numpy", "onnxruntime", *HEAVY} == set()
+
+
+def test_every_public_name_is_there() -> None:
+    for name in kinegraph.__all__:
+        assert getattr(kinegraph, name).__name__ == name
+    assert set(kinegraph.__all__) <= set(dir(kinegraph))
+
+
+def test_unknown_names_are_attribute_errors() -> None:
+    assert not hasattr(kinegraph, "Pipeline")

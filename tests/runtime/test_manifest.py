@@ -1,0 +1,294 @@
+"""The manifest decoder: what it writes it reads, and everything else is an error naming the key."""
+
+from __future__ import annotations
+
+import copy
+import dataclasses
+import json
+import random
+from collections.abc import Iterator
+from typing import Any
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from synthetic_bundle import bundle_files, manifest_for, manifest_object, sealed
+
+from kinegraph.errors import BundleError, BundleFormatError, BundleIntegrityError
+from kinegraph.manifest import Manifest, decode_manifest, seal, to_json
+
+GOOD = manifest_object()
+
+
+def paths(value: Any, here: tuple[Any, ...] = ()) -> Iterator[tuple[Any, ...]]:
+    """Every key and the first item of every list."""
+    items = (
+        value.items()
+        if isinstance(value, dict)
+        else list(enumerate(value))[:1]
+        if isinstance(value, list)
+        else ()
+    )
+    for key, inner in items:
+        yield (*here, key)
+        yield from paths(inner, (*here, key))
+
+
+def changed(path: tuple[Any, ...], value: object) -> dict[str, Any]:
+    copied = copy.deepcopy(GOOD)
+    place: Any = copied
+    for key in path[:-1]:
+        place = place[key]
+    place[path[-1]] = value
+    return copied
+
+
+def dotted(path: tuple[Any, ...]) -> str:
+    return "".join(f"[{key}]" if isinstance(key, int) else f".{key}" for key in path).lstrip(".")
+
+
+def leaf(path: tuple[Any, ...]) -> Any:
+    place: Any = GOOD
+    for key in path:
+        place = place[key]
+    return place
+
+
+ALL_PATHS = list(paths(GOOD))
+FREE_MAPS = {("provenance",), ("parity",), ("training",), ("quality",)}
+REQUIRED = [
+    path
+    for path in ALL_PATHS
+    if path[:-1] not in FREE_MAPS and isinstance(path[-1], str) and path != ("files", "parser.bin")
+]
+
+
+def test_round_trip() -> None:
+    manifest = manifest_for(bundle_files())
+    assert decode_manifest(to_json(manifest)) == manifest
+    assert to_json(decode_manifest(to_json(manifest))) == to_json(manifest)
+
+
+def test_the_text_is_plain_json_with_its_sha256() -> None:
+    value = json.loads(to_json(manifest_for(bundle_files())))
+    assert value.pop("sha256")
+    assert list(value) == [field.name for field in dataclasses.fields(Manifest)]
+    assert value["features"]["mean"][:3] == [0.0, 1.0, 2.0]
+    assert value["levels"]["action"]["nodes"] == ["motion", "action"]
+
+
+def test_nothing_in_a_manifest_can_be_changed() -> None:
+    manifest = decode_manifest(to_json(manifest_for(bundle_files())))
+    with pytest.raises(dataclasses.FrozenInstanceError):
+        manifest.name = "other"  # type: ignore[misc]
+    with pytest.raises(TypeError):
+        manifest.files["decoder.onnx"] = None  # type: ignore[index]
+
+
+@pytest.mark.parametrize("path", REQUIRED, ids=dotted)
+def test_a_missing_key_is_named(path: tuple[Any, ...]) -> None:
+    value = copy.deepcopy(GOOD)
+    place: Any = value
+    for key in path[:-1]:
+        place = place[key]
+    del place[path[-1]]
+    with pytest.raises(BundleFormatError) as caught:
+        decode_manifest(sealed(value))
+    message = str(caught.value)
+    assert path[-1] in message
+    assert all(str(key) in message for key in path[:-1])
+
+
+def test_the_parser_is_optional() -> None:
+    value = copy.deepcopy(GOOD)
+    del value["files"]["parser.bin"]
+    assert "parser.bin" not in decode_manifest(sealed(value)).files
+
+
+@pytest.mark.parametrize(
+    "path", [p for p in ALL_PATHS if isinstance(leaf(p), dict) and p not in FREE_MAPS], ids=dotted
+)
+def test_an_unknown_key_is_named(path: tuple[Any, ...]) -> None:
+    with pytest.raises(BundleFormatError, match="surprise") as caught:
+        decode_manifest(sealed(changed((*path, "surprise"), leaf(path).get("motion", 1))))
+    assert str(path[0]) in str(caught.value)
+
+
+def test_an_unknown_key_at_the_top_is_named() -> None:
+    with pytest.raises(BundleFormatError, match="unknown key 'surprise'"):
+        decode_manifest(sealed({**GOOD, "surprise": 1}))
+
+
+def wrong_values(path: tuple[Any, ...]) -> list[object]:
+    """JSON values of every type that this place does not take."""
+    found = leaf(path)
+    if path[0] == "training" and len(path) == 2:
+        return [None, True, [], {}]
+    by_type: dict[type, list[object]] = {
+        str: [None, True, 1, 1.5, [], {}, "a tab\t", "half a pair \ud800"],
+        int: [None, True, "1", 1.5, [], {}],
+        float: [None, False, "1.5", [], {}],
+        list: [None, 1, "text", {}],
+        dict: [None, 1, "text", []],
+    }
+    return by_type[type(found)]
+
+
+@pytest.mark.parametrize("path", ALL_PATHS, ids=dotted)
+def test_a_wrong_type_is_named(path: tuple[Any, ...]) -> None:
+    for wrong in wrong_values(path):
+        with pytest.raises(BundleFormatError) as caught:
+            decode_manifest(sealed(changed(path, wrong)))
+        assert dotted(path) in str(caught.value), wrong
+
+
+@pytest.mark.parametrize("token", ["NaN", "Infinity", "-Infinity", "1e999", "1" + "0" * 400])
+def test_numbers_must_be_finite(token: str) -> None:
+    body = json.dumps(changed(("schedule", "beta_end"), "HERE"), indent=1).replace('"HERE"', token)
+    with pytest.raises(BundleFormatError):
+        decode_manifest(seal(body.removesuffix("\n}").encode()))
+
+
+BREAKS: list[tuple[tuple[Any, ...], object]] = [
+    (("format_version",), 2),
+    (("format_version",), 0),
+    (("skeleton", "joint_names"), GOOD["skeleton"]["joint_names"][:-1]),
+    (("skeleton", "parents", 3), 1),
+    (("fps",), 0),
+    (("fps",), -20.0),
+    (("frames", "min"), 1),
+    (("frames", "min"), 25),
+    (("frames", "max"), 197),
+    (("frames", "per_token"), 0),
+    (("features", "layout"), "joints-138"),
+    (("features", "layout"), "humanml3d-263"),
+    (("features", "heading"), "sideways"),
+    (("features", "mean"), [0.0] * 136),
+    (("features", "std"), [1.0] * 138),
+    (("features", "std", 5), 0.0),
+    (("text", "width"), 0),
+    (("levels", "motion", "layers"), 10**9),
+    (("levels", "motion", "tokens"), 0),
+    (("levels", "motion", "heads"), 3),
+    (("levels", "action", "latent_width"), 4),
+    (("levels", "specific", "tokens"), 1),
+    (("levels", "action", "nodes"), ["action", "motion"]),
+    (("levels", "action", "nodes"), []),
+    (("schedule", "train_steps"), 0),
+    (("schedule", "beta_end"), 1e-9),
+    (("schedule", "beta_start"), 0.0),
+    (("schedule", "steps_offset"), 20),
+    (("schedule", "spacing"), "linspace"),
+    (("schedule", "prediction"), "sample"),
+    (("defaults", "steps", "action"), 21),
+    (("defaults", "guidance", "action"), -0.5),
+    (("defaults", "seconds"), 60.0),
+    (("roles",), GOOD["roles"][::-1]),
+    (("precision",), "fp16"),
+    (("files", "decoder.onnx", "sha256"), "0" * 63),
+    (("files", "decoder.onnx", "sha256"), "G" * 64),
+    (("files", "decoder.onnx", "bytes"), -1),
+    (("operators", "decoder.onnx"), ["ai.onnx::Mul", "ai.onnx::Add"]),
+]
+
+
+@pytest.mark.parametrize(
+    ("path", "value"), BREAKS, ids=lambda item: dotted(item) if isinstance(item, tuple) else None
+)
+def test_fields_that_make_no_sense_are_named(path: tuple[Any, ...], value: object) -> None:
+    with pytest.raises(BundleFormatError) as caught:
+        decode_manifest(sealed(changed(path, value)))
+    assert path[0] in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        "../decoder.onnx",
+        "/etc/passwd",
+        "C:\\x",
+        "C:decoder.onnx",
+        "a/b",
+        "a\\b",
+        "Decoder.onnx",
+        "decoder.onnx ",
+        "",
+        ".",
+    ],
+)
+def test_only_known_file_names_may_be_listed(name: str) -> None:
+    with pytest.raises(BundleFormatError, match="no file of a bundle"):
+        decode_manifest(sealed(changed(("files", name), GOOD["files"]["decoder.onnx"])))
+
+
+def test_a_name_with_nul_is_refused() -> None:
+    with pytest.raises(BundleFormatError, match="cannot be printed"):
+        decode_manifest(sealed(changed(("files", "decoder.onnx\0"), GOOD["files"]["decoder.onnx"])))
+
+
+def test_a_newer_format_says_so_before_its_new_keys_do() -> None:
+    with pytest.raises(BundleFormatError, match="format_version is 2"):
+        decode_manifest(sealed({**GOOD, "format_version": 2, "new_key": 1}))
+
+
+@pytest.mark.parametrize(
+    "body",
+    [
+        b"",
+        b"[1",
+        b"[]",
+        b"null",
+        b'{"name": 1, "name": 2',
+        b'{"\xff": 1',
+        b"[" * 100_000,
+        b'{"a": ' * 100_000,
+    ],
+    ids=["empty", "cut", "list", "null", "repeated", "not utf-8", "deep list", "deep object"],
+)
+def test_text_that_is_no_object_is_refused(body: bytes) -> None:
+    with pytest.raises(BundleFormatError, match=r"manifest\.json"):
+        decode_manifest(seal(body))
+
+
+def test_a_flipped_bit_anywhere_is_noticed() -> None:
+    data = to_json(manifest_for(bundle_files()))
+    generator = random.Random(20)
+    for _ in range(400):
+        position = generator.randrange(len(data))
+        flipped = bytearray(data)
+        flipped[position] ^= 1 << generator.randrange(8)
+        with pytest.raises(BundleIntegrityError, match=r"manifest\.json"):
+            decode_manifest(bytes(flipped))
+
+
+@pytest.mark.parametrize("size", [0, 1, 50, 100, 1000])
+def test_a_cut_manifest_is_noticed(size: int) -> None:
+    with pytest.raises(BundleIntegrityError):
+        decode_manifest(to_json(manifest_for(bundle_files()))[:size])
+
+
+JSON = st.recursive(
+    st.none() | st.booleans() | st.integers() | st.floats() | st.text(),
+    lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.text(), inner, max_size=3),
+    max_leaves=8,
+)
+
+
+@settings(max_examples=300, deadline=None)
+@given(st.sampled_from(ALL_PATHS), JSON)
+def test_any_json_anywhere_gives_a_manifest_or_a_bundle_error(path: tuple[Any, ...], value: object) -> None:
+    try:
+        manifest = decode_manifest(sealed(changed(path, value)))
+    except BundleError:
+        return
+    assert manifest.contracts
+    assert decode_manifest(to_json(manifest)) == manifest
+
+
+@settings(max_examples=200, deadline=None)
+@given(st.binary(max_size=200))
+def test_any_bytes_give_a_bundle_error(data: bytes) -> None:
+    with pytest.raises(BundleError):
+        decode_manifest(data)
+    with pytest.raises(BundleError):
+        decode_manifest(seal(data))

@@ -1,0 +1,81 @@
+"""Sessions: threads as asked, no spinning, the host's own options, onnxruntime's errors wrapped."""
+
+from __future__ import annotations
+
+import onnxruntime
+import pytest
+from synthetic_bundle import LEVEL_SPECS, filler_model, write_bundle
+
+from kinegraph.bundle import Bundle, read_bundle
+from kinegraph.contract import LEVELS, contracts
+from kinegraph.errors import BundleError, InvalidInputError
+from kinegraph.sessions import Sessions, available_cpus, open_session, open_sessions, session_options
+
+
+@pytest.fixture(scope="module")
+def bundle(tmp_path_factory: pytest.TempPathFactory) -> Bundle:
+    return read_bundle(write_bundle(tmp_path_factory.mktemp("sessions") / "bundle"))
+
+
+def every(sessions: Sessions) -> dict[str, onnxruntime.InferenceSession]:
+    return {
+        "text_encoder": sessions.text_encoder,
+        "graph_encoder": sessions.graph_encoder,
+        **{f"context_{level}": sessions.context[level] for level in LEVELS},
+        **{f"step_{level}": sessions.step[level] for level in LEVELS},
+        "decoder": sessions.decoder,
+    }
+
+
+def test_each_session_is_the_graph_of_its_name(bundle: Bundle) -> None:
+    graphs = bundle.manifest.contracts
+    for name, session in every(open_sessions(bundle)).items():
+        assert [tensor.name for tensor in session.get_inputs()] == [spec.name for spec in graphs[name].inputs]
+        assert session.get_providers() == ["CPUExecutionProvider"]
+
+
+def test_by_default_steps_take_one_thread_and_the_rest_at_most_two(bundle: Bundle) -> None:
+    for name, session in every(open_sessions(bundle)).items():
+        threads = session.get_session_options().intra_op_num_threads
+        assert threads == (1 if name.startswith("step_") else min(2, available_cpus())), name
+
+
+@pytest.mark.parametrize("threads", [1, 2, 3])
+def test_the_callers_thread_count_holds_for_all(bundle: Bundle, threads: int) -> None:
+    for session in every(open_sessions(bundle, threads=threads)).values():
+        assert session.get_session_options().intra_op_num_threads == threads
+
+
+def test_pools_do_not_spin(bundle: Bundle) -> None:
+    for session in every(open_sessions(bundle)).values():
+        options = session.get_session_options()
+        assert options.get_session_config_entry("session.intra_op.allow_spinning") == "0"
+        assert options.inter_op_num_threads == 1
+
+
+def test_the_host_may_bring_its_own_options(bundle: Bundle) -> None:
+    own = onnxruntime.SessionOptions()
+    own.intra_op_num_threads = 1
+    own.add_session_config_entry("session.intra_op.allow_spinning", "1")
+    for session in every(open_sessions(bundle, options=own)).values():
+        options = session.get_session_options()
+        assert options.get_session_config_entry("session.intra_op.allow_spinning") == "1"
+        assert options.intra_op_num_threads == 1
+
+
+@pytest.mark.parametrize("threads", [0, -1, 257, True, 1.5, "2", 10**30])
+def test_a_wrong_thread_count_is_refused(bundle: Bundle, threads: object) -> None:
+    with pytest.raises(InvalidInputError, match="threads must be"):
+        open_sessions(bundle, threads=threads)  # type: ignore[arg-type]
+
+
+def test_threads_and_options_exclude_each_other(bundle: Bundle) -> None:
+    with pytest.raises(InvalidInputError, match="either threads or session_options"):
+        open_sessions(bundle, threads=2, options=onnxruntime.SessionOptions())
+
+
+@pytest.mark.parametrize("cut", [0, 1, 40, 100])
+def test_what_onnxruntime_refuses_is_a_bundle_error_naming_the_graph(cut: int) -> None:
+    contract = contracts(LEVEL_SPECS, 12, 137)["step_motion"]
+    with pytest.raises(BundleError, match=r"step_motion\.onnx"):
+        open_session(filler_model(contract)[:cut], contract, session_options(1))
