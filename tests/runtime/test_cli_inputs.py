@@ -189,7 +189,7 @@ def test_parse_prints_one_object(capsys: pytest.CaptureFixture[str], monkeypatch
 def test_parse_prints_one_object_per_line(
     capsys: pytest.CaptureFixture[str], here: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """U+2028 ends a line for `str.splitlines`, but not in a file of JSON lines; a BOM is no part of a caption."""
+    """U+2028 ends a line for `str.splitlines`, but not in JSON lines; a BOM is no part of a caption."""
     monkeypatch.setattr(cli, "_load", lambda *_: Parser())
     captions = ["a person walks", "a\u2028b", "über 😀", "{curly}"]
     lines = [
