@@ -1,0 +1,63 @@
+"""Word lists of the parser's rules: how captions of human motion name manners, directions, places and times."""
+
+from __future__ import annotations
+
+from typing import Final
+
+UNACCUSATIVE: Final = frozenset(
+    "turn stand rise stop fall stumble rotate spin move bend lean trip slip balance sway roll remain stay start begin end"
+    " finish happen collapse sit lie kneel slide".split()
+)
+"""Verbs whose subject undergoes the motion: it is ARG1 (PropBank), unless they take an object."""
+
+STATIVE: Final = frozenset("look seem appear feel be remain become sound".split())
+
+TRAVEL: Final = frozenset("go come return get rise climb descend".split())
+TRANSFER: Final = frozenset("put place pick take give wipe hold lean kick throw stretch tie tap hand bring push shove".split())
+
+MANNER_NOUNS: Final = frozenset(
+    "way manner fashion style mood speed pace energy joy pride confidence fatigue vigor spirit effort ease care force"
+    " rage anger hurry mannerism language attitude heart rhythm caution tempo step arm hand leg foot knee elbow head body"
+    " shoulder hip fist finger back posture stance speed gait strength power".split()
+)
+"""Objects that make a prepositional phrase one of manner ("with energy", "with the right hand")."""
+
+DIRECTION_PREPOSITIONS: Final = frozenset(
+    "to toward towards into onto from through across around along past up down off out forward backward away over"
+    " round".split()
+)
+PLACE_PREPOSITIONS: Final = frozenset(
+    "on under above below behind near beside between inside outside within against among beneath upon next in at"
+    " front".split()
+)
+TIME_PREPOSITIONS: Final = frozenset("after before during until while since for throughout once when".split())
+MANNER_PREPOSITIONS: Final = frozenset("with without like as by of via".split())
+
+TIME_NOUNS: Final = frozenset("second minute hour moment time while beginning end start once twice times".split())
+WAYS: Final = frozenset("way manner fashion style mood speed pace rage spirit".split())
+CIRCLE_NOUNS: Final = frozenset("circle line curve square arc zigzag triangle path loop pattern semicircle spiral".split())
+SIDE_NOUNS: Final = frozenset("left right side front back direction clockwise counterclockwise forward".split())
+
+DIRECTION_ADVERBS: Final = frozenset(
+    "forward forwards backward backwards back left right up down away around ahead sideways straight out in over off"
+    " upward upwards downward downwards leftward leftwards rightward rightwards clockwise counterclockwise"
+    " anticlockwise inward outward diagonally round through across along aside sideward onward onwards".split()
+)
+TIME_ADVERBS: Final = frozenset(
+    "then now afterwards afterward first finally next again once twice later before after meanwhile still immediately"
+    " subsequently shortly always soon simultaneously thrice eventually already".split()
+)
+MANNER_ADVERBS: Final = frozenset("fast hard well slow quick together alone better faster slower high low wide".split())
+PLACE_ADVERBS: Final = frozenset("here there somewhere overhead nearby outside inside home everywhere".split())
+OTHER_ADVERBS: Final = frozenset("slightly almost about approximately nearly only just little bit further far".split())
+DISCOURSE_ADVERBS: Final = frozenset("also maybe perhaps probably actually instead however though even too so".split())
+
+TIME_MARKERS: Final = frozenset("while when after before until once whenever till as".split())
+
+EVENT_NOUNS: Final = frozenset(
+    "walk run jog jump hop kick punch wave bow turn spin step cartwheel handstand squat lunge dance throw catch swing"
+    " stumble fall stretch waltz crawl push pull backflip flip somersault leap skip march sprint dash roll rotation"
+    " pirouette salute clap greeting gesture nod shrug stride slash lift raise stroll pace knock tap movement motion"
+    " stand sit kneel climb trot limp shuffle twirl tiptoe balance stop start bend lean reach point shake".split()
+)
+"""Nouns that name a motion, and verbs that taggers take for nouns in short captions."""
