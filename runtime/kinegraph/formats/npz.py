@@ -1,0 +1,82 @@
+"""`.npz`: the clip as NumPy arrays, without pickle.
+
+`joints` (frames, 22, 3) float32 metres, `fps`, `seed`, `text`, `joint_names`, `bundle`.
+"""
+
+from __future__ import annotations
+
+import io
+import os
+import zipfile
+import zlib
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinegraph.errors import InvalidInputError
+from kinegraph.motion.skeleton import JOINT_NAMES
+
+if TYPE_CHECKING:
+    from kinegraph.motion.clip import Clip
+
+_EPOCH: Final = (1980, 1, 1, 0, 0, 0)
+_UNIX: Final = 3
+_UNREADABLE: Final = (
+    *(OSError, EOFError, ValueError, KeyError, TypeError, AttributeError),
+    *(NotImplementedError, RuntimeError, zlib.error, zipfile.BadZipFile),
+)
+"""What NumPy and zipfile raise over files that are no archive, cut short, encrypted, pickled or of another kind."""
+
+_NAMES: Final = ("joints", "fps", "seed", "text", "joint_names", "bundle")
+
+
+def encode(clip: Clip) -> bytes:
+    """The file of a clip. `numpy.savez` would put the time of day into it, and equal clips would differ."""
+    arrays: dict[str, NDArray[Any]] = {
+        "joints": clip.joints.astype("<f4"),
+        "fps": np.array(clip.fps, dtype="<f8"),
+        "seed": np.array(clip.seed, dtype="<i8"),
+        "text": np.array(clip.text),
+        "joint_names": np.array(JOINT_NAMES),
+        "bundle": np.array(clip.bundle),
+    }
+    buffer = io.BytesIO()
+    with zipfile.ZipFile(buffer, "w", zipfile.ZIP_STORED) as archive:
+        for name in _NAMES:
+            entry = zipfile.ZipInfo(f"{name}.npy", date_time=_EPOCH)
+            entry.create_system = _UNIX
+            entry.external_attr = 0o644 << 16
+            archive.writestr(entry, _npy(arrays[name]))
+    return buffer.getvalue()
+
+
+def read_npz(path: str | os.PathLike[str]) -> Clip:
+    """The clip of a file that `encode` made.
+
+    Raises:
+        InvalidInputError: no such file, or not a clip.
+    """
+    from kinegraph.motion.clip import Clip
+
+    try:
+        with np.load(Path(path), allow_pickle=False) as pack:
+            fields = {name: pack[name] for name in _NAMES}
+    except FileNotFoundError as error:
+        raise InvalidInputError(f"there is no file {str(path)!r}; name a clip saved as .npz") from error
+    except _UNREADABLE as error:
+        raise InvalidInputError(f"{str(path)!r} is no clip that kinegraph saved ({error})") from error
+    if tuple(fields["joint_names"].ravel().tolist()) != JOINT_NAMES:
+        raise InvalidInputError(f"{str(path)!r} has other joints; kinegraph reads {', '.join(JOINT_NAMES)}")
+    scalars = {name: fields[name] for name in ("fps", "seed", "text", "bundle")}
+    odd = [name for name, value in scalars.items() if value.shape != ()]
+    if odd:
+        raise InvalidInputError(f"{', '.join(odd)} of {str(path)!r} must be a single value each")
+    return Clip(joints=fields["joints"], **{name: value.item() for name, value in scalars.items()})
+
+
+def _npy(array: NDArray[Any]) -> bytes:
+    buffer = io.BytesIO()
+    np.lib.format.write_array(buffer, array, version=(1, 0), allow_pickle=False)
+    return buffer.getvalue()

@@ -1,0 +1,99 @@
+"""What `generate` returns: joints over time, with all that is needed to make the same clip again."""
+
+from __future__ import annotations
+
+import math
+import os
+from dataclasses import dataclass
+
+import numpy as np
+
+from kinegraph.errors import InvalidInputError
+from kinegraph.formats import encode
+from kinegraph.formats.atomic import check_target, suffix_of, write_atomically
+from kinegraph.motion.skeleton import JOINTS, FloatArray
+
+__all__ = ["Clip", "check_target"]
+
+
+@dataclass(frozen=True, eq=False)
+class Clip:
+    """A motion of the 22-joint body of `skeleton`.
+
+    Raises:
+        InvalidInputError: a field has the wrong shape or type, or a joint is not finite.
+    """
+
+    joints: FloatArray
+    """(frames, 22, 3) metres, Y up, floor y = 0; starts at the origin facing +Z; a read-only copy."""
+
+    fps: float
+    """Frames per second."""
+
+    seed: int
+    """Of the noise it was made from."""
+
+    text: str
+    """The sentence it was made for."""
+
+    bundle: str
+    """Name and version of the bundle that made it."""
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "joints", _checked_joints(self.joints))
+        if isinstance(self.fps, bool) or not isinstance(self.fps, int | float | np.number):
+            raise InvalidInputError(f"fps is {self.fps!r}; it must be a number of frames per second")
+        if not (math.isfinite(self.fps) and self.fps > 0):
+            raise InvalidInputError(f"fps is {self.fps!r}; it must be finite and above 0")
+        whole = isinstance(self.seed, int | np.integer) and not isinstance(self.seed, bool)
+        if not whole or not 0 <= self.seed < 2**63:
+            raise InvalidInputError(f"seed is {self.seed!r}; it must be a whole number from 0 to 2**63 - 1")
+        for name in ("text", "bundle"):
+            if not isinstance(getattr(self, name), str):
+                raise InvalidInputError(f"{name} is {getattr(self, name)!r}; it must be a string")
+        object.__setattr__(self, "fps", float(self.fps))
+        object.__setattr__(self, "seed", int(self.seed))
+
+    @property
+    def frames(self) -> int:
+        """Number of frames."""
+        return len(self.joints)
+
+    @property
+    def duration(self) -> float:
+        """Seconds; every frame is shown for 1 / fps."""
+        return self.frames / self.fps
+
+    def save(self, path: str | os.PathLike[str], *, force: bool = False) -> None:
+        """Write a file; its suffix chooses the format (`formats.WRITERS`).
+
+        The file appears complete or not at all.
+
+        Args:
+            path: file to write, in a folder that exists.
+            force: replace an existing file.
+
+        Raises:
+            OutputError: the file cannot be written there; see `check_target`.
+        """
+        check_target(path, force)
+        write_atomically(path, encode(self, suffix_of(path)))
+
+
+def _checked_joints(joints: object) -> FloatArray:
+    try:
+        given = np.asarray(joints)
+    except ValueError as error:
+        raise InvalidInputError(f"joints are no array of numbers ({error})") from error
+    if given.dtype.kind not in "fiu":
+        raise InvalidInputError(f"joints have type {given.dtype}; they must be real numbers")
+    if given.ndim != 3 or given.shape[1:] != (JOINTS, 3) or len(given) == 0:
+        allowed = f"(frames, {JOINTS}, 3) with at least one frame"
+        raise InvalidInputError(f"joints have shape {given.shape}; it must be {allowed}")
+    with np.errstate(over="ignore"):
+        own = np.array(given, dtype=np.float32)
+    if not np.isfinite(own).all():
+        frame, joint, _ = np.argwhere(~np.isfinite(own))[0]
+        raise InvalidInputError(f"joint {joint} of frame {frame} is not finite; joints must be finite metres")
+    own.flags.writeable = False
+    return own
