@@ -14,7 +14,7 @@ WRITERS: Final[dict[str, str]] = {
     ".bvh": "kinegraph.formats.bvh",
     ".npz": "kinegraph.formats.npz",
 }
-"""Suffix -> module with `encode(clip) -> bytes`; loaded when used, as a format may need an optional package."""
+"""Suffix -> module with `encode(clip) -> bytes`; loaded when used: a format may need an optional package."""
 
 
 def encode(clip: Clip, suffix: str) -> bytes:

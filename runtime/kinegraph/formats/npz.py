@@ -27,7 +27,7 @@ _UNREADABLE: Final = (
     *(OSError, EOFError, ValueError, KeyError, TypeError, AttributeError),
     *(NotImplementedError, RuntimeError, zlib.error, zipfile.BadZipFile),
 )
-"""What NumPy and zipfile raise over files that are no archive, cut short, encrypted, pickled or of another kind."""
+"""What NumPy and zipfile raise over files that are no archive, cut short, encrypted or pickled."""
 
 _NAMES: Final = ("joints", "fps", "seed", "text", "joint_names", "bundle")
 
