@@ -1,6 +1,7 @@
 """Layout `humanml3d-263`: joints -> features -> joints.
 
-Guo et al., 2022, "Generating Diverse and Natural 3D Human Motions from Text". One row per frame but the last, in the frame of the body's facing:
+Guo et al., 2022, "Generating Diverse and Natural 3D Human Motions from Text". One row per frame but the
+last, in the frame of the body's facing:
 
     yaw velocity          1    half the turn to the next frame, radians, positive to the *right*
     root velocity         2    m / frame, x and z
@@ -11,8 +12,8 @@ Guo et al., 2022, "Generating Diverse and Natural 3D Human Motions from Text". O
     contacts              4    left ankle, left toe, right ankle, right toe: 1 while planted
 
 With `heading="humanml3d"` the facing is that of the released code, so that published statistics and weights
-fit: the hips count left minus right against the shoulders, and the direction is smoothed. `"true"` is the facing
-one means.
+fit: the hips count left minus right against the shoulders, and the direction is smoothed. `"true"` is the
+facing one means.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """The rotations of layout `humanml3d-263`: the skeleton of Guo et al. (2022), solved along five chains.
 
-They say how each bone is turned against the axis it is given here, with no twist and with the heading of the body
-in the root. They serve that layout alone; files for animation take theirs from `rotations`.
+They say how each bone is turned against the axis it is given here, with no twist and with the heading of the
+body in the root. They serve that layout alone; files for animation take theirs from `rotations`.
 """
 
 from __future__ import annotations
@@ -53,8 +53,8 @@ def facing(joints: FloatArray, *, heading: Heading, smooth: bool) -> FloatArray:
 
     Args:
         joints: (frames, 22, 3).
-        heading: "true" takes hips and shoulders both right minus left; "humanml3d" the hips left minus right, as
-            the released code does.
+        heading: "true" takes hips and shoulders both right minus left; "humanml3d" takes the hips left minus
+            right, as the released code does.
         smooth: with "humanml3d", a Gaussian of 20 frames over the directions.
     """
     hips = joints[:, RIGHT_HIP] - joints[:, LEFT_HIP]
@@ -67,10 +67,10 @@ def facing(joints: FloatArray, *, heading: Heading, smooth: bool) -> FloatArray:
 
 
 def solve(joints: FloatArray, *, heading: Heading, smooth: bool) -> FloatArray:
-    """Quaternions (frames, 22, 4): the root's takes the facing to +Z, the others are relative along their chain.
+    """Quaternions (frames, 22, 4): the root's takes the facing to +Z, the others are relative in their chain.
 
-    As in the released code the chains of the arms start from the root's turn, not from the spine's, and the root
-    of the first frame is not turned.
+    As in the released code the chains of the arms start from the root's turn, not from the spine's, and the
+    root of the first frame is not turned.
     """
     ahead = np.array([0, 0, 1], dtype=joints.dtype)
     root = between(facing(joints, heading=heading, smooth=smooth), ahead)

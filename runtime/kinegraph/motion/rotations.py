@@ -1,0 +1,153 @@
+"""Joint positions -> rotations of a skeleton with fixed bones, and back.
+
+The rest pose is a T-pose that faces +Z, with the clip's own bone lengths. The pelvis and the upper spine
+(spine3) have three children each, and their turn is the one that brings all three closest to where they were
+seen (Kabsch, 1976; Markley's (1988) singular value form). A joint with one child takes the shortest turn
+from its parent that aims at the child; joints without one are not turned. Positions do not say how a limb is
+twisted about its own length: here it is not.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinegraph.motion.quaternions import (
+    IDENTITY,
+    between,
+    conjugate,
+    continuous,
+    from_matrix,
+    multiply,
+    normalised,
+    rotate,
+)
+from kinegraph.motion.skeleton import JOINT_INDEX, JOINT_NAMES, JOINTS, PARENTS, bone_lengths
+
+Floats = NDArray[np.floating[Any]]
+
+CHILDREN: Final[tuple[tuple[int, ...], ...]] = tuple(
+    tuple(child for child, parent in enumerate(PARENTS) if parent == joint) for joint in range(JOINTS)
+)
+
+_FOOT: Final = (0.0, -0.45, 0.89)
+_PART_DIRECTIONS: Final[dict[str, tuple[float, float, float]]] = {
+    "pelvis": (0.0, 0.0, 0.0),
+    "hip": (0.9, -0.4, 0.0),
+    "knee": (0.0, -1.0, 0.0),
+    "ankle": (0.0, -1.0, 0.0),
+    "foot": _FOOT,
+    "collar": (0.5, 0.8, 0.0),
+    "shoulder": (1.0, 0.0, 0.0),
+    "elbow": (1.0, 0.0, 0.0),
+    "wrist": (1.0, 0.0, 0.0),
+}
+"""T-pose direction from the parent, left side; other joints (spine, neck, head) are straight above theirs."""
+
+
+def _rest_direction(name: str) -> tuple[float, float, float]:
+    side, _, part = name.rpartition("_")
+    x, y, z = _PART_DIRECTIONS.get(part, (0.0, 1.0, 0.0))
+    return (-x if side == "right" else x, y, z)
+
+
+REST_DIRECTIONS: Final[Floats] = normalised(np.array([_rest_direction(name) for name in JOINT_NAMES]))
+"""(22, 3) unit vectors from the parent in the T-pose; a clip replaces those of siblings by what it shows."""
+
+
+@dataclass(frozen=True)
+class SkeletonMotion:
+    """A clip as a skeleton with fixed bones that turn."""
+
+    rest_offsets: Floats
+    """(22, 3) metres: each joint from its parent in the T-pose; the pelvis's is zero."""
+
+    root: Floats
+    """(frames, 3) metres: where the pelvis is."""
+
+    rotations: Floats
+    """(frames, 22, 4) quaternions w, x, y, z relative to the parent; signs are continuous over frames."""
+
+    error: Floats
+    """(frames, 22) metres between `forward_kinematics` of this motion and the joints it was solved from."""
+
+
+def solve_rotations(joints: Floats) -> SkeletonMotion:
+    """Rotations that bring a T-pose with the clip's mean bone lengths to the joints of each frame.
+
+    Args:
+        joints: (frames, 22, 3) metres, Y up.
+    """
+    seen = np.asarray(joints, dtype=np.float64)
+    offsets = rest_offsets(seen)
+    local = np.tile(np.array(IDENTITY), (len(seen), JOINTS, 1))
+    turned = local.copy()
+    reached = np.zeros_like(seen)
+    for joint in range(JOINTS):
+        parent = PARENTS[joint]
+        before = turned[:, parent] if joint else turned[:, joint]
+        reached[:, joint] = seen[:, 0] if not joint else reached[:, parent] + rotate(before, offsets[joint])
+        children = list(CHILDREN[joint])
+        # Aimed from where the bones so far have led, not from where the joint was seen: errors do not add up.
+        goals = rotate(conjugate(before)[:, None], seen[:, children] - reached[:, joint, None])
+        if len(children) > 1:
+            local[:, joint] = _best_turn(offsets[children], goals)
+        elif children:
+            local[:, joint] = between(offsets[children[0]], goals[:, 0])
+        turned[:, joint] = multiply(before, local[:, joint])
+    error = np.linalg.norm(reached - seen, axis=-1)
+    return SkeletonMotion(offsets, seen[:, 0].copy(), continuous(local), error)
+
+
+def forward_kinematics(offsets: Floats, root: Floats, rotations: Floats) -> Floats:
+    """Joints (frames, 22, 3) metres of a skeleton that turns.
+
+    Args:
+        offsets: (22, 3) metres, each joint from its parent at rest.
+        root: (frames, 3) metres.
+        rotations: (frames, 22, 4), relative to the parent.
+    """
+    joints = np.zeros((len(rotations), JOINTS, 3))
+    turned = np.array(rotations, dtype=np.float64)
+    joints[:, 0] = root
+    for joint in range(1, JOINTS):
+        parent = PARENTS[joint]
+        joints[:, joint] = joints[:, parent] + rotate(turned[:, parent], offsets[joint])
+        turned[:, joint] = multiply(turned[:, parent], turned[:, joint])
+    return joints
+
+
+def rest_offsets(joints: Floats) -> Floats:
+    """T-pose offsets (22, 3) of a clip: mean bone lengths, and siblings as they lie to each other on average."""
+    lengths = np.concatenate([[0.0], bone_lengths(np.asarray(joints)).mean(axis=0, dtype=np.float64)])
+    directions = REST_DIRECTIONS.copy()
+    for joint, up in ((JOINT_INDEX["pelvis"], "spine1"), (JOINT_INDEX["spine3"], "neck")):
+        children = list(CHILDREN[joint])
+        left, right = (child for child in children if child != JOINT_INDEX[up])
+        bones = np.asarray(joints[:, children] - joints[:, joint, None], dtype=np.float64)
+        frame = _plane_frame(
+            joints[:, left] - joints[:, right], joints[:, JOINT_INDEX[up]] - joints[:, joint]
+        )
+        seen = normalised(np.einsum("tij,tcj->tci", frame, bones).mean(axis=0))
+        missing = ~seen.any(axis=-1)
+        seen[missing] = REST_DIRECTIONS[children][missing]
+        directions[children] = seen
+    return np.asarray(directions * lengths[:, None])
+
+
+def _plane_frame(across: Floats, up: Floats) -> Floats:
+    """Axes (frames, 3, 3) of a body part: rows x (to the left), y (up the spine), z (ahead)."""
+    x = normalised(np.asarray(across, dtype=np.float64))
+    z = normalised(np.cross(x, up, axis=-1))
+    return np.stack([x, np.cross(z, x, axis=-1), z], axis=-2)
+
+
+def _best_turn(rest: Floats, goals: Floats) -> Floats:
+    """The turn (frames, 4) that takes `rest` (n, 3) closest to `goals` (frames, n, 3) in least squares."""
+    u, _, vt = np.linalg.svd(np.einsum("tci,cj->tij", goals, rest))
+    # Of the two solutions of a flat triple, the one that is a turn and no mirror image.
+    u[..., 2] *= np.sign(np.linalg.det(u @ vt))[:, None]
+    return from_matrix(u @ vt)
