@@ -1,0 +1,263 @@
+"""A folder of BVH files and a captions file -> a data folder that the training commands read.
+
+    python -m kinegraph_training.prepare --bvh FOLDER --captions captions.csv --out data/mine
+
+Every clip is brought to the 22 joints, metres, 20 frames per second, Y up, with the floor at 0, and starts
+at the origin facing +Z. Which split a clip falls into depends on its name alone, so that it stays there when
+others come.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+from tqdm import tqdm
+
+from kinegraph.errors import InvalidInputError, KinegraphError, OutputError
+from kinegraph.motion.placement import placed
+from kinegraph.motion.skeleton import JOINT_INDEX, PELVIS, FloatArray
+from kinegraph_training.bvh_reader import Floats, joint_positions, read_bvh, resampled
+from kinegraph_training.captions_file import matched, read_captions
+from kinegraph_training.data_writer import SPLITS, STEP_METRES, PreparedClip, split_of, write_data
+from kinegraph_training.joint_map import Source, joint_map, mapped, read_map
+
+UNITS: Final[dict[str, float]] = {
+    "metres": 1.0,
+    "CMU units of 1/0.45 inch": 0.0254 / 0.45,
+    "inches": 0.0254,
+    "centimetres": 0.01,
+    "millimetres": 0.001,
+}
+LEG_METRES: Final = (0.6, 1.2)
+"""Thigh plus shank of a grown body; only one of `UNITS` brings a leg into this range."""
+
+MAX_FPS: Final = 240
+
+_LEGS: Final = (("left_hip", "left_knee", "left_ankle"), ("right_hip", "right_knee", "right_ankle"))
+_SHOWN: Final = 10
+
+
+@dataclass(frozen=True)
+class PrepareOptions:
+    """How BVH files are read and divided."""
+
+    fps: float = 20.0
+    scale: float | None = None
+    """Metres per unit of the files; None guesses it from the length of the legs."""
+    up: str = "y"
+    """Axis that points up in the files: "y" or "z"."""
+    own_map: Mapping[str, Source] = field(default_factory=dict)
+    """Entries of a map file, before the built-in tables."""
+    val: float = 0.05
+    """Share of clips for model selection."""
+    test: float = 0.05
+    """Share of clips kept for a final test."""
+    skip_broken: bool = False
+    """Leave out files that cannot be read, instead of refusing all."""
+
+
+def prepare(
+    bvh: Path, captions: Path, out: Path, options: PrepareOptions, *, force: bool = False
+) -> list[PreparedClip]:
+    """Read, convert and write everything; nothing is written unless all of it can be.
+
+    Raises:
+        InvalidInputError: files, captions, names or options that do not fit; the message names them.
+        OutputError: `out` holds data already, or cannot be written.
+    """
+    _check_options(options)
+    _check_out(out, force)
+    files = _bvh_files(bvh)
+    texts = matched(read_captions(captions), files)
+    joints = _read_all(files, options)
+    splits = split_of(list(joints), val=options.val, test=options.test)
+    clips = [
+        PreparedClip(name, joints[name], texts[name], files[name].relative_to(bvh).as_posix(), splits[name])
+        for name in sorted(joints)
+    ]
+    write_data(out, clips, options.fps)
+    return clips
+
+
+def clip_joints(path: Path, options: PrepareOptions) -> FloatArray:
+    """Joints (frames, 22, 3) of one BVH file, placed as all clips are.
+
+    Raises:
+        InvalidInputError: broken file, joints that cannot be mapped, no sensible size, or less than two
+        frames.
+    """
+    motion = read_bvh(path)
+    try:
+        sources = joint_map(motion.names, options.own_map)
+        motion = resampled(motion, options.fps)
+        places = mapped(joint_positions(motion), motion.names, sources)
+        if len(places) < 2:
+            raise InvalidInputError(
+                f"less than two frames at {options.fps:g} frames per second; too short to train on"
+            )
+        scale = unit_of(places) if options.scale is None else options.scale
+        joints = placed(_y_up(places, options.up) * scale)
+        _check_range(joints)
+    except InvalidInputError as error:
+        raise InvalidInputError(f"{path}: {error}") from error
+    return joints
+
+
+def unit_of(places: Floats) -> float:
+    """Metres per unit, guessed from the mean length of the legs (frames, 22, 3).
+
+    Raises:
+        InvalidInputError: no common unit gives a grown body.
+    """
+    leg = np.mean([_length(places, a, b) + _length(places, b, c) for a, b, c in _LEGS])
+    for unit in UNITS.values():
+        if LEG_METRES[0] <= leg * unit <= LEG_METRES[1]:
+            return unit
+    raise InvalidInputError(
+        f"a leg is {leg:.4g} units long, which fits a grown body in none of {', '.join(UNITS)}; "
+        f"pass --scale with the metres per unit, for example --scale {0.85 / leg if leg > 0 else 1:.4g}"
+    )
+
+
+def _length(places: Floats, start: str, end: str) -> float:
+    bones = places[:, JOINT_INDEX[end]] - places[:, JOINT_INDEX[start]]
+    return float(np.linalg.norm(bones, axis=-1).mean())
+
+
+def _y_up(places: Floats, up: str) -> Floats:
+    if up == "y":
+        return places
+    return np.stack([places[..., 0], places[..., 2], -places[..., 1]], axis=-1)
+
+
+def _check_options(options: PrepareOptions) -> None:
+    if not 0 < options.fps <= MAX_FPS:
+        raise InvalidInputError(f"--fps is {options.fps}; it must be above 0 and at most {MAX_FPS}")
+    if options.scale is not None and not (np.isfinite(options.scale) and options.scale > 0):
+        raise InvalidInputError(f"--scale is {options.scale}; it must be finite and above 0")
+    if options.up not in ("y", "z"):
+        raise InvalidInputError(f"--up is {options.up!r}; it must be y or z")
+    if not (options.val >= 0 and options.test >= 0 and options.val + options.test < 1):
+        raise InvalidInputError(
+            f"--val {options.val} and --test {options.test} must be 0 or more and leave something to train on"
+        )
+
+
+def _check_range(joints: FloatArray) -> None:
+    relative = joints * [1, 1, 1]
+    relative[..., [0, 2]] -= joints[:, PELVIS : PELVIS + 1, [0, 2]]
+    if not np.isfinite(joints).all() or np.abs(relative).max() / STEP_METRES > np.iinfo(np.int16).max:
+        raise InvalidInputError(
+            "a joint is more than 3.2 m from the body or above the floor; check --scale and --up"
+        )
+
+
+def _check_out(out: Path, force: bool) -> None:
+    if out.exists() and not out.is_dir():
+        raise OutputError(f"{out} is a file; --out must be a folder")
+    taken = (
+        sorted(path.name for path in out.glob("*") if path.suffix in (".npz", ".jsonl"))
+        if out.is_dir()
+        else []
+    )
+    if taken and not force:
+        raise OutputError(
+            f"{out} holds {', '.join(taken)}; choose another folder or replace them with --force"
+        )
+
+
+def _bvh_files(folder: Path) -> dict[str, Path]:
+    if not folder.is_dir():
+        raise InvalidInputError(f"{folder} is no folder; --bvh must name the folder with the BVH files")
+    files: dict[str, Path] = {}
+    for path in sorted(folder.rglob("*")):
+        if path.suffix.lower() == ".bvh" and path.is_file():
+            name = path.relative_to(folder).with_suffix("").as_posix()
+            if name in files:
+                raise InvalidInputError(f"{files[name]} and {path} would get the same id; rename one")
+            files[name] = path
+    if not files:
+        raise InvalidInputError(f"{folder} holds no .bvh files")
+    return files
+
+
+def _read_all(files: Mapping[str, Path], options: PrepareOptions) -> dict[str, FloatArray]:
+    joints: dict[str, FloatArray] = {}
+    problems: list[str] = []
+    for name, path in tqdm(files.items(), desc="reading", unit="file", disable=None):
+        try:
+            joints[name] = clip_joints(path, options)
+        except InvalidInputError as error:
+            problems.append(str(error))
+    if problems and (not options.skip_broken or not joints):
+        listed = "\n".join(problems[:_SHOWN])
+        raise InvalidInputError(
+            f"{len(problems)} of {len(files)} files cannot be used (--skip-broken leaves them out):\n{listed}"
+        )
+    for problem in problems:
+        tqdm.write(f"left out: {problem}", file=sys.stderr)
+    return joints
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="python -m kinegraph_training.prepare", description="BVH files -> training data"
+    )
+    parser.add_argument(
+        "--bvh", type=Path, required=True, help="folder with BVH files, searched with its subfolders"
+    )
+    parser.add_argument("--captions", type=Path, required=True, help="captions as .jsonl, .csv or .tsv")
+    parser.add_argument("--out", type=Path, required=True, help="folder to write")
+    parser.add_argument(
+        "--fps", type=float, default=20.0, help="frames per second of the result (default 20)"
+    )
+    parser.add_argument(
+        "--map", type=Path, help='JSON file {"pelvis": "Hips", "spine1": ["Hips", "Spine", 0.5], ...}'
+    )
+    parser.add_argument(
+        "--scale", type=float, help="metres per unit of the files; default: guessed from the legs"
+    )
+    parser.add_argument(
+        "--up", choices=("y", "z"), default="y", help="axis that points up in the files (default y)"
+    )
+    parser.add_argument(
+        "--val", type=float, default=0.05, help="share of clips for model selection (default 0.05)"
+    )
+    parser.add_argument(
+        "--test", type=float, default=0.05, help="share of clips kept for a test (default 0.05)"
+    )
+    parser.add_argument("--skip-broken", action="store_true", help="leave out files that cannot be read")
+    parser.add_argument("--force", action="store_true", help="replace the data in --out")
+    return parser
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """The command line; 2 on bad input, with the reason on stderr."""
+    given = _parser().parse_args(arguments)
+    try:
+        options = PrepareOptions(
+            fps=given.fps,
+            scale=given.scale,
+            up=given.up,
+            own_map=read_map(given.map) if given.map else {},
+            val=given.val,
+            test=given.test,
+            skip_broken=given.skip_broken,
+        )
+        clips = prepare(given.bvh, given.captions, given.out, options, force=given.force)
+    except KinegraphError as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 2
+    counts = ", ".join(f"{sum(clip.split == split for clip in clips)} {split}" for split in SPLITS)
+    print(f"{given.out}: {len(clips)} clips ({counts}) at {given.fps:g} frames per second")
+    return 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())
