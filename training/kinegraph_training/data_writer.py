@@ -65,7 +65,7 @@ def write_data(out: Path, clips: Sequence[PreparedClip], fps: float) -> None:
         {
             "id": each.id,
             "frames": len(each.joints),
-            "fps": fps,
+            "fps": rate,
             "source_file": each.source_file,
             "split": each.split,
         }

@@ -13,7 +13,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinegraph.errors import InvalidInputError
-from kinegraph.motion.quaternions import IDENTITY, between, conjugate, multiply, normalised, rotate
+from kinegraph.motion.quaternions import (
+    IDENTITY,
+    about_axis,
+    between,
+    conjugate,
+    multiply,
+    normalised,
+    rotate,
+)
 from kinegraph.motion.skeleton import JOINTS, LEFT_HIP, LEFT_SHOULDER, RIGHT_HIP, RIGHT_SHOULDER
 
 FloatArray = NDArray[np.floating[Any]]
@@ -72,8 +80,9 @@ def solve(joints: FloatArray, *, heading: Heading, smooth: bool) -> FloatArray:
     As in the released code the chains of the arms start from the root's turn, not from the spine's, and the
     root of the first frame is not turned.
     """
-    ahead = np.array([0, 0, 1], dtype=joints.dtype)
-    root = between(facing(joints, heading=heading, smooth=smooth), ahead)
+    ahead = facing(joints, heading=heading, smooth=smooth)
+    # About Y by name: the shortest turn from straight behind may go about any axis.
+    root = about_axis(1, -np.arctan2(ahead[:, 0], ahead[:, 2]))
     root[0] = IDENTITY
     turns = np.zeros((len(joints), JOINTS, 4), dtype=joints.dtype)
     turns[:, 0] = root

@@ -121,7 +121,7 @@ def forward_kinematics(offsets: Floats, root: Floats, rotations: Floats) -> Floa
 
 
 def rest_offsets(joints: Floats) -> Floats:
-    """T-pose offsets (22, 3) of a clip: mean bone lengths, and siblings as they lie to each other on average."""
+    """T-pose offsets (22, 3) of a clip: mean bone lengths, siblings as they lie to each other on average."""
     lengths = np.concatenate([[0.0], bone_lengths(np.asarray(joints)).mean(axis=0, dtype=np.float64)])
     directions = REST_DIRECTIONS.copy()
     for joint, up in ((JOINT_INDEX["pelvis"], "spine1"), (JOINT_INDEX["spine3"], "neck")):

@@ -1,0 +1,200 @@
+"""Clip: what it accepts, and every target it must refuse without writing anything."""
+
+from __future__ import annotations
+
+import errno
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+from motions import walk
+
+from kinegraph.errors import InvalidInputError, KinegraphError, OutputError
+from kinegraph.formats import WRITERS
+from kinegraph.formats.npz import read_npz
+from kinegraph.motion.clip import Clip, check_target
+
+GOOD = {"joints": walk(5), "fps": 20.0, "seed": 7, "text": "a person walks", "bundle": "edge 1"}
+
+
+def clip(**changes: object) -> Clip:
+    return Clip(**{**GOOD, **changes})  # type: ignore[arg-type]
+
+
+def test_properties() -> None:
+    five = clip()
+    assert (five.frames, five.duration, five.fps, five.seed) == (5, 0.25, 20.0, 7)
+    assert five.joints.dtype == np.float32
+
+
+def test_joints_are_a_read_only_copy() -> None:
+    own = walk(5).astype(np.float64)
+    made = clip(joints=own)
+    with pytest.raises(ValueError, match="read-only"):
+        made.joints[0] = 0
+    own[:] = 9
+    np.testing.assert_array_equal(made.joints, walk(5))
+    assert own.flags.writeable
+    with pytest.raises(AttributeError):
+        made.fps = 30.0  # type: ignore[misc]
+
+
+def broken(value: float) -> np.ndarray:
+    joints = walk(5)
+    joints[3, 4, 1] = value
+    return joints
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"joints": broken(np.nan)}, "joint 4 of frame 3"),
+        ({"joints": broken(np.inf)}, "finite"),
+        ({"joints": np.full((2, 22, 3), 1e300)}, "finite"),
+        ({"joints": np.zeros((0, 22, 3))}, r"\(0, 22, 3\)"),
+        ({"joints": np.zeros((5, 21, 3))}, r"\(5, 21, 3\)"),
+        ({"joints": np.zeros((22, 3))}, r"\(22, 3\)"),
+        ({"joints": np.zeros((5, 22, 3), dtype=complex)}, "complex"),
+        ({"joints": "walk"}, "real numbers"),
+        ({"joints": None}, "real numbers"),
+        ({"joints": [[1.0], [1.0, 2.0]]}, "array"),
+        ({"fps": 0}, "fps"),
+        ({"fps": -20.0}, "fps"),
+        ({"fps": float("nan")}, "fps"),
+        ({"fps": float("inf")}, "fps"),
+        ({"fps": True}, "fps"),
+        ({"fps": "20"}, "fps"),
+        ({"seed": -1}, "seed"),
+        ({"seed": 2**63}, "seed"),
+        ({"seed": 1.5}, "seed"),
+        ({"seed": True}, "seed"),
+        ({"text": None}, "text"),
+        ({"bundle": 3}, "bundle"),
+    ],
+)
+def test_refuses(changes: dict[str, object], message: str) -> None:
+    with pytest.raises(InvalidInputError, match=message):
+        clip(**changes)
+
+
+@pytest.mark.parametrize("suffix", sorted(WRITERS))
+def test_saves_by_suffix_and_leaves_nothing_else(tmp_path: Path, suffix: str) -> None:
+    clip().save(tmp_path / f"walk{suffix}")
+    clip().save(str(tmp_path / f"again{suffix.upper()}"))
+    assert sorted(path.name for path in tmp_path.iterdir()) == sorted(
+        [f"again{suffix.upper()}", f"walk{suffix}"]
+    )
+    first, second = (path.read_bytes() for path in tmp_path.iterdir())
+    assert first == second
+    assert len(first) > 1000
+
+
+def test_a_saved_file_has_the_rights_of_any_new_file(tmp_path: Path) -> None:
+    clip().save(tmp_path / "walk.npz")
+    (tmp_path / "other").write_bytes(b"")
+    assert (tmp_path / "walk.npz").stat().st_mode == (tmp_path / "other").stat().st_mode
+
+
+@pytest.mark.parametrize(
+    ("name", "message"),
+    [
+        ("walk", "no suffix.*.bvh, .npz"),
+        ("walk.mp3", "'.mp3'.*.bvh, .npz"),
+        (".npz", "no suffix"),
+        ("missing/walk.npz", "does not exist"),
+        ("file.txt/walk.npz", "file.txt.*is not a folder"),
+        ("file.txt/deeper/walk.npz", "does not exist"),
+        ("folder.npz", "is a directory"),
+        (".", "is a directory"),
+        ("there.npz", "exists.*force"),
+        ("pipe.npz", "device or pipe"),
+        ("n" * 300 + ".npz", "choose another name"),
+        ("nul\0.npz", "choose another name"),
+    ],
+)
+def test_bad_targets(tmp_path: Path, name: str, message: str) -> None:
+    (tmp_path / "folder.npz").mkdir()
+    (tmp_path / "there.npz").write_bytes(b"precious")
+    (tmp_path / "file.txt").write_bytes(b"a file")
+    os.mkfifo(tmp_path / "pipe.npz")
+    before = sorted(tmp_path.rglob("*"))
+    target = f"{tmp_path}/{name}"
+    with pytest.raises(OutputError, match=message):
+        check_target(target)
+    with pytest.raises(OutputError, match=message):
+        clip().save(target)
+    assert sorted(tmp_path.rglob("*")) == before
+    assert (tmp_path / "there.npz").read_bytes() == b"precious"
+
+
+@pytest.mark.parametrize("name", ["walk", "missing/walk.npz", "folder.npz", "pipe.npz"])
+def test_force_does_not_help_a_target_that_is_no_file(tmp_path: Path, name: str) -> None:
+    (tmp_path / "folder.npz").mkdir()
+    os.mkfifo(tmp_path / "pipe.npz")
+    with pytest.raises(OutputError):
+        check_target(tmp_path / name, force=True)
+
+
+def test_force_replaces(tmp_path: Path) -> None:
+    target = tmp_path / "there.npz"
+    target.write_bytes(b"old")
+    check_target(target, True)
+    assert target.read_bytes() == b"old"
+    clip().save(target, force=True)
+    assert read_npz(target).seed == 7
+
+
+def test_a_link_is_followed(tmp_path: Path) -> None:
+    (tmp_path / "real.npz").write_bytes(b"old")
+    (tmp_path / "link.npz").symlink_to(tmp_path / "real.npz")
+    clip().save(tmp_path / "link.npz", force=True)
+    assert (tmp_path / "link.npz").is_symlink()
+    assert read_npz(tmp_path / "real.npz").seed == 7
+
+
+def test_check_target_writes_nothing(tmp_path: Path) -> None:
+    check_target(tmp_path / "walk.bvh")
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("blocked", ["folder", "file"])
+def test_targets_without_the_right_to_write(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, blocked: str
+) -> None:
+    # Rights do not bind root, under whom tests may run.
+    target = tmp_path / "there.npz"
+    target.write_bytes(b"old")
+    forbidden = {"folder": tmp_path, "file": target}[blocked]
+    monkeypatch.setattr(os, "access", lambda path, mode: Path(path) != forbidden)
+    with pytest.raises(OutputError, match=r"cannot be written|write-protected"):
+        check_target(target, force=True)
+
+
+@pytest.mark.parametrize("call", ["fsync", "open"])
+def test_a_full_disk_leaves_the_old_file_and_no_rest(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, call: str
+) -> None:
+    target = tmp_path / "there.npz"
+    target.write_bytes(b"old")
+
+    def full(*_: object) -> int:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(os, call, full)
+    with pytest.raises(OutputError, match="No space left") as caught:
+        clip().save(target, force=True)
+    monkeypatch.undo()
+    assert isinstance(caught.value, KinegraphError)
+    assert [path.name for path in tmp_path.iterdir()] == ["there.npz"]
+    assert target.read_bytes() == b"old"
+
+
+def test_an_interrupt_leaves_no_rest(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def interrupted(_: int) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(os, "fsync", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        clip().save(tmp_path / "walk.npz")
+    assert list(tmp_path.iterdir()) == []
