@@ -1,0 +1,204 @@
+"""From a training run to a bundle, in one command.
+
+    python -m kinegraph_export.export_bundle --run runs/edge --assets assets --out bundle
+
+Every graph is validated against its module, the whole pipeline against torch; what was measured is in the manifest.
+"""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import io
+import json
+import platform
+import shutil
+import sys
+import tempfile
+from pathlib import Path
+
+import numpy as np
+import onnxruntime
+import torch
+
+import kinegraph
+from kinegraph.contract import LEVELS
+from kinegraph.diffusion.sampler import LevelPlan, initial_noise
+from kinegraph.errors import InvalidInputError, OutputError
+from kinegraph.manifest import (
+    Defaults,
+    FeatureSpec,
+    FrameSpec,
+    Licence,
+    Manifest,
+    ScheduleSpec,
+    SkeletonSpec,
+    TextSpec,
+    to_json,
+    with_files,
+)
+from kinegraph.motion.skeleton import JOINT_NAMES, PARENTS
+from kinegraph.onnx_ops import summarise
+from kinegraph.options import generate_options
+from kinegraph.pipeline import MotionPipeline
+from kinegraph.text.roles import ROLES
+from kinegraph_export.checkpoints import read_run
+from kinegraph_export.graphs import Trained, export_graphs, level_specs
+from kinegraph_export.modules import tables
+from kinegraph_export.parity import ParityError
+from kinegraph_export.pipeline_parity import Request, torch_joints
+from kinegraph_export.sources import MINILM, SPACY_MODEL
+from kinegraph_training.caption_graphs import ASSETS
+from kinegraph_training.latents import TrainedVae
+
+PROMPTS = (
+    "a person walks forward", "someone runs", "a person raises the left hand", "a man waves with both hands",
+    "a person turns left while walking", "an old person walks slowly", "the figure turns right", "somebody bows",
+    "a tired person walks forward", "a person raises the right arm and lowers it again", "a child waves goodbye",
+    "a person walks forward while waving the right hand", "someone runs, then bows", "a person jogs happily",
+    "a person raises both hands above the head", "a person walks backwards", "a woman waves the left hand",
+    "the person dashes forward", "a person walks to the left", "someone waves, then walks away proudly",
+)  # fmt: skip
+MAX_PIPELINE_MM = 1.0
+FORMAT_VERSION = 1
+
+
+@dataclasses.dataclass(frozen=True)
+class Card:
+    """What a person has to say about a bundle: read from a JSON file of these keys."""
+
+    name: str
+    version: str
+    licence: dict[str, str]
+    training_data: str
+    training: dict[str, str | float | int]
+    steps: dict[str, int]
+    guidance: dict[str, float]
+    seconds: float
+    quality: dict[str, float]
+
+    @staticmethod
+    def read(path: Path) -> Card:
+        """Raises InvalidInputError where keys are missing or unknown."""
+        try:
+            return Card(**json.loads(path.read_text(encoding="utf-8")))
+        except (OSError, ValueError, TypeError) as error:
+            raise InvalidInputError(f"{path} is no bundle card: {error}") from error
+
+
+def table_file(trained: Trained) -> bytes:
+    """tables.npz of all levels."""
+    config = trained.hierarchy.config
+    arrays = {}
+    for level in LEVELS:
+        time, length = tables(trained.hierarchy.levels[level].clock, config.train_steps, config.max_frames)
+        arrays |= {f"time_{level}": time.numpy(), f"length_{level}": length.numpy()}
+    buffer = io.BytesIO()
+    np.savez(buffer, **arrays)
+    return buffer.getvalue()
+
+
+def manifest_of(card: Card, trained: Trained, own: TrainedVae, files: dict[str, bytes], parity: dict[str, float]) -> Manifest:
+    """The manifest, all but the whole pipeline's parity."""
+    config = trained.hierarchy.config
+    graphs = {name: data for name, data in files.items() if name.endswith(".onnx")}
+    draft = Manifest(
+        format_version=FORMAT_VERSION,
+        name=card.name,
+        version=card.version,
+        licence=Licence(**card.licence),
+        provenance={
+            "training_data": card.training_data,
+            "text_encoder": f"sentence-transformers/all-MiniLM-L6-v2 from {MINILM}",
+            "parser": f"en_core_web_sm from {SPACY_MODEL}",
+            "built_with": f"kinegraph {kinegraph.__version__}, torch {torch.__version__}, "
+            f"onnxruntime {onnxruntime.__version__}, Python {platform.python_version()}",
+        },
+        skeleton=SkeletonSpec(JOINT_NAMES, PARENTS),
+        fps=20.0,
+        frames=FrameSpec(min=16, max=config.max_frames, per_token=trained.vae.config.frames_per_token),
+        features=FeatureSpec(
+            "joints-137", "true", tuple(map(float, own.mean)), tuple(map(float, own.std))
+        ),
+        text=TextSpec(width=config.text_width, mask_token="[MASK]"),
+        levels=level_specs(trained),
+        schedule=ScheduleSpec(config.train_steps, 8.5e-4, 0.012, 1, "leading", "epsilon"),
+        defaults=Defaults(card.steps, card.guidance, card.seconds),
+        roles=ROLES,
+        precision="fp32",
+        files={},
+        operators={name: summarise(data, name).operators for name, data in sorted(graphs.items())},
+        parity=parity,
+        training=card.training,
+        quality=card.quality,
+    )
+    return with_files(draft, files)
+
+
+def write_bundle(folder: Path, manifest: Manifest, files: dict[str, bytes]) -> None:
+    """All files of a bundle, into a new folder."""
+    folder.mkdir(parents=True)
+    for name, data in files.items():
+        (folder / name).write_bytes(data)
+    (folder / "manifest.json").write_bytes(to_json(manifest))
+
+
+def pipeline_difference(folder: Path, trained: Trained, own: TrainedVae) -> float:
+    """Mean joint distance between torch and the runtime over `PROMPTS`, mm; captions, graphs and noise the same."""
+    pipe = MotionPipeline.load(folder)
+    distances = []
+    for seed, prompt in enumerate(PROMPTS):
+        graph = pipe.parse(prompt)
+        clip = pipe.generate(graph, seed=seed)
+        options = generate_options(pipe.manifest, seed=seed)
+        plans = [LevelPlan(name, spec.tokens, spec.latent_width, 1) for name, spec in pipe.manifest.levels.items()]
+        request = Request(clip.frames, initial_noise(seed, plans), dict(options.steps), dict(options.guidance))
+        expected = torch_joints(trained, pipe._arrays(graph), request, own.mean, own.std)
+        distances.append(np.linalg.norm(clip.joints - expected, axis=-1).mean() * 1000.0)
+    return float(np.mean(distances))
+
+
+def export_bundle(run: Path, assets: Path, card: Card, out: Path) -> Manifest:
+    """Export, validate, and put the bundle in place; a bundle that was there before is replaced.
+
+    Raises:
+        InvalidInputError: a stage or a text asset is missing.
+        ParityError: a graph or the whole pipeline differs from torch.
+    """
+    trained, own = read_run(run)
+    graphs, parity = export_graphs(trained, trained.hierarchy.config.text_width, len(own.mean))
+    files = {name: (assets / name).read_bytes() for name in ASSETS} | graphs | {"tables.npz": table_file(trained)}
+    draft = manifest_of(card, trained, own, files, parity)
+    if out.exists() and not (out / "manifest.json").is_file():
+        raise OutputError(f"{out} exists and is not a bundle; name another folder")
+    with tempfile.TemporaryDirectory() as folder:
+        staged = Path(folder) / "bundle"
+        write_bundle(staged, draft, files)
+        distance = pipeline_difference(staged, trained, own)
+        if not distance <= MAX_PIPELINE_MM:
+            raise ParityError(f"the runtime's joints differ from torch's by {distance:.3f} mm, more than {MAX_PIPELINE_MM}")
+        manifest = dataclasses.replace(draft, parity={**parity, "pipeline_mm": distance})
+        (staged / "manifest.json").write_bytes(to_json(manifest))
+        shutil.rmtree(out, ignore_errors=True)
+        out.parent.mkdir(parents=True, exist_ok=True)
+        shutil.copytree(staged, out)
+    return manifest
+
+
+def main(argv: list[str] | None = None) -> None:
+    """Command line."""
+    parser = argparse.ArgumentParser(prog="kinegraph_export.export_bundle", description=__doc__.split("\n")[0])
+    parser.add_argument("--run", type=Path, required=True, help="folder of the training run")
+    parser.add_argument("--assets", type=Path, required=True, help="folder with the text files")
+    parser.add_argument("--card", type=Path, required=True, help="JSON: name, version, licences, defaults, quality")
+    parser.add_argument("--out", type=Path, required=True, help="folder of the bundle")
+    arguments = parser.parse_args(argv)
+    manifest = export_bundle(arguments.run, arguments.assets, Card.read(arguments.card), arguments.out)
+    for name, difference in manifest.parity.items():
+        print(f"{name:20s} {difference:.2e}")
+    size = sum(entry.bytes for entry in manifest.files.values())
+    print(f"{size / 1e6:.1f} MB in {arguments.out}", file=sys.stderr)
+
+
+if __name__ == "__main__":
+    main()
