@@ -111,13 +111,13 @@ def subject_role(head: Token, has_object: bool) -> str:
 
 def subject_span(head: Token) -> Span | None:
     """The subject of an action: its own, the noun it modifies, or that of the action it depends on."""
-    for child in head.children:
-        if child.dep_ in SUBJECTS | PASSIVE_SUBJECTS:
-            relative = child.tag_ in ("WP", "WDT") and head.dep_ == "relcl"
-            return phrase(head.head) if relative else phrase(child)
+    span = own_subject_span(head)
     for child in head.lefts:
-        if run_on(child, head):
-            return subject_span(child)
+        if span is None and run_on(child, head):
+            # only its own: looking further up from there leads back here
+            span = own_subject_span(child)
+    if span is not None:
+        return span
     if head.dep_ in CLAUSES and head.head.pos_ in ("NOUN", "PROPN", "PRON"):
         return phrase(head.head)
     if head.dep_ in ("conj", "xcomp", "advcl", "pcomp", "ccomp", "dep", "prep") and head.head.i != head.i:
@@ -126,6 +126,15 @@ def subject_span(head: Token) -> Span | None:
             above = above.head
         if is_action(above):
             return subject_span(above)
+    return None
+
+
+def own_subject_span(head: Token) -> Span | None:
+    """The subject among an action's own dependents."""
+    for child in head.children:
+        if child.dep_ in SUBJECTS | PASSIVE_SUBJECTS:
+            relative = child.tag_ in ("WP", "WDT") and head.dep_ == "relcl"
+            return phrase(head.head) if relative else phrase(child)
     return None
 
 
