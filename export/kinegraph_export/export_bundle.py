@@ -98,7 +98,9 @@ def table_file(trained: Trained) -> bytes:
     return buffer.getvalue()
 
 
-def manifest_of(card: Card, trained: Trained, own: TrainedVae, files: dict[str, bytes], parity: dict[str, float]) -> Manifest:
+def manifest_of(
+    card: Card, trained: Trained, own: TrainedVae, files: dict[str, bytes], parity: dict[str, float]
+) -> Manifest:
     """The manifest, all but the whole pipeline's parity."""
     config = trained.hierarchy.config
     graphs = {name: data for name, data in files.items() if name.endswith(".onnx")}
@@ -117,9 +119,7 @@ def manifest_of(card: Card, trained: Trained, own: TrainedVae, files: dict[str, 
         skeleton=SkeletonSpec(JOINT_NAMES, PARENTS),
         fps=20.0,
         frames=FrameSpec(min=16, max=config.max_frames, per_token=trained.vae.config.frames_per_token),
-        features=FeatureSpec(
-            "joints-137", "true", tuple(map(float, own.mean)), tuple(map(float, own.std))
-        ),
+        features=FeatureSpec("joints-137", "true", tuple(map(float, own.mean)), tuple(map(float, own.std))),
         text=TextSpec(width=config.text_width, mask_token="[MASK]"),
         levels=level_specs(trained),
         schedule=ScheduleSpec(config.train_steps, 8.5e-4, 0.012, 1, "leading", "epsilon"),
@@ -176,7 +176,9 @@ def export_bundle(run: Path, assets: Path, card: Card, out: Path) -> Manifest:
         write_bundle(staged, draft, files)
         distance = pipeline_difference(staged, trained, own)
         if not distance <= MAX_PIPELINE_MM:
-            raise ParityError(f"the runtime's joints differ from torch's by {distance:.3f} mm, more than {MAX_PIPELINE_MM}")
+            raise ParityError(
+                f"the runtime's joints differ from torch's by {distance:.3f} mm, more than {MAX_PIPELINE_MM}"
+            )
         manifest = dataclasses.replace(draft, parity={**parity, "pipeline_mm": distance})
         (staged / "manifest.json").write_bytes(to_json(manifest))
         shutil.rmtree(out, ignore_errors=True)

@@ -34,7 +34,9 @@ class StepGraph(nn.Module):
         super().__init__()
         self.step = step
 
-    def forward(self, latent: Tensor, temb: Tensor, context: list[Tensor], src: Tensor, combine: Tensor, bias: Tensor) -> Tensor:
+    def forward(
+        self, latent: Tensor, temb: Tensor, context: list[Tensor], src: Tensor, combine: Tensor, bias: Tensor
+    ) -> Tensor:
         pairs = list(zip(context[::2], context[1::2], strict=True))
         return self.step(latent, temb, pairs, bias, Mixing(src, combine))
 

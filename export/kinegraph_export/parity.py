@@ -21,7 +21,10 @@ class ParityError(KinegraphError):
 
 
 def max_difference(
-    model: bytes, module: nn.Module, contract: GraphContract, inputs: Callable[[np.random.Generator], dict[str, np.ndarray]]
+    model: bytes,
+    module: nn.Module,
+    contract: GraphContract,
+    inputs: Callable[[np.random.Generator], dict[str, np.ndarray]],
 ) -> float:
     """Largest absolute difference over `SHAPES` random inputs.
 
@@ -65,7 +68,9 @@ def module_arguments(contract: GraphContract, feeds: Mapping[str, np.ndarray]) -
 
 def _difference(contract: GraphContract, spec: TensorSpec, ours: np.ndarray, theirs: Tensor) -> float:
     if ours.shape != tuple(theirs.shape):
-        raise ParityError(f"{contract.name}: {spec.name} has shape {ours.shape}, the module's has {tuple(theirs.shape)}")
+        raise ParityError(
+            f"{contract.name}: {spec.name} has shape {ours.shape}, the module's has {tuple(theirs.shape)}"
+        )
     difference = float(np.abs(ours - theirs.numpy()).max(initial=0.0))
     if not difference <= contract.tolerance:
         raise ParityError(

@@ -35,7 +35,9 @@ def alpha_bar(train_steps: int = 1000) -> Tensor:
     return torch.cumprod(1 - torch.linspace(0.00085**0.5, 0.012**0.5, train_steps, dtype=torch.float64) ** 2, dim=0)
 
 
-def level_latent(trained: Trained, level: str, graph: GraphArrays, nodes: Tensor, coarse: Tensor | None, request: Request) -> Tensor:
+def level_latent(
+    trained: Trained, level: str, graph: GraphArrays, nodes: Tensor, coarse: Tensor | None, request: Request
+) -> Tensor:
     """Guided DDIM of one level, one prediction at a time."""
     denoiser = trained.hierarchy.levels[level]
     number = LEVELS.index(level)
@@ -45,7 +47,10 @@ def level_latent(trained: Trained, level: str, graph: GraphArrays, nodes: Tensor
     null_kind = torch.full((1, 1), NULL_KIND)
     cases = {
         "text": (denoiser.context(nodes[visible][None], kind, order, coarse), torch.log(weights).clamp(min=MASKED)),
-        "null": (denoiser.context(torch.zeros(1, 1, nodes.shape[-1]), null_kind, torch.zeros_like(null_kind), coarse), torch.zeros(1, 1)),
+        "null": (
+            denoiser.context(torch.zeros(1, 1, nodes.shape[-1]), null_kind, torch.zeros_like(null_kind), coarse),
+            torch.zeros(1, 1),
+        ),
     }
     extra = 0 if coarse is None else coarse.shape[1]
     latent = torch.from_numpy(request.noise[number])[None]
@@ -65,7 +70,9 @@ def level_latent(trained: Trained, level: str, graph: GraphArrays, nodes: Tensor
 
 
 @torch.no_grad()
-def torch_joints(trained: Trained, graph: GraphArrays, request: Request, mean: FloatArray, std: FloatArray) -> FloatArray:
+def torch_joints(
+    trained: Trained, graph: GraphArrays, request: Request, mean: FloatArray, std: FloatArray
+) -> FloatArray:
     """Joints (frames, 22, 3)."""
     inputs = (graph.nodes, graph.relation, graph.edge_weight, np.ones(len(graph.kind), dtype=np.float32))
     nodes = trained.hierarchy.graph_encoder(*(torch.from_numpy(part)[None] for part in inputs))[0]

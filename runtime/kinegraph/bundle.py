@@ -96,21 +96,15 @@ def _check_listing(folder: Path, manifest: Manifest) -> None:
         raise BundleError(f"cannot list the bundle {str(folder)!r}: {error}") from error
     listed = {MANIFEST, *manifest.files}
     for name in sorted(listed - found):
-        raise BundleIntegrityError(
-            f"{name} is missing from the bundle {str(folder)!r}; fetch the bundle again"
-        )
+        raise BundleIntegrityError(f"{name} is missing from the bundle {str(folder)!r}; fetch the bundle again")
     for name in sorted(found - listed):
-        raise BundleIntegrityError(
-            f"{name!r} in the bundle {str(folder)!r} is not listed in its {MANIFEST}; remove it"
-        )
+        raise BundleIntegrityError(f"{name!r} in the bundle {str(folder)!r} is not listed in its {MANIFEST}; remove it")
 
 
 def _check_sizes(files: Mapping[str, FileSpec]) -> None:
     for name, entry in files.items():
         if entry.bytes > MAX_FILE_BYTES:
-            raise BundleFormatError(
-                f"{name} has {entry.bytes} bytes; a file may have {MAX_FILE_BYTES} at most"
-            )
+            raise BundleFormatError(f"{name} has {entry.bytes} bytes; a file may have {MAX_FILE_BYTES} at most")
     total = sum(entry.bytes for entry in files.values())
     if total > MAX_BUNDLE_BYTES:
         raise BundleFormatError(f"the files have {total} bytes; a bundle may have {MAX_BUNDLE_BYTES} at most")
@@ -119,9 +113,7 @@ def _check_sizes(files: Mapping[str, FileSpec]) -> None:
 def _read_listed(folder: Path, name: str, entry: FileSpec) -> bytes:
     data = _read(folder, name, entry.bytes)
     if len(data) != entry.bytes:
-        raise BundleIntegrityError(
-            f"{name} has {len(data)} bytes instead of {entry.bytes}; fetch the bundle again"
-        )
+        raise BundleIntegrityError(f"{name} has {len(data)} bytes instead of {entry.bytes}; fetch the bundle again")
     if hashlib.sha256(data).hexdigest() != entry.sha256:
         raise BundleIntegrityError(f"{name} differs from the manifest's SHA-256; fetch the bundle again")
     return data
@@ -148,9 +140,7 @@ def _read(folder: Path, name: str, most: int) -> bytes:
         if not stat.S_ISREG(status.st_mode):
             raise BundleIntegrityError(f"{name} is not a regular file")
         if status.st_size > most:
-            raise BundleIntegrityError(
-                f"{name} is too large: {status.st_size} bytes instead of at most {most}"
-            )
+            raise BundleIntegrityError(f"{name} is too large: {status.st_size} bytes instead of at most {most}")
         with open(descriptor, "rb", closefd=False) as file:
             return file.read(status.st_size + 1)
     except OSError as error:

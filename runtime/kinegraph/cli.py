@@ -65,9 +65,7 @@ def _parser() -> argparse.ArgumentParser:
 
 
 def _add_bundle(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        "--bundle", type=Path, metavar="DIR", help="a bundle's folder; default: the built-in one"
-    )
+    parser.add_argument("--bundle", type=Path, metavar="DIR", help="a bundle's folder; default: the built-in one")
     parser.add_argument("--json", action="store_true", help="print one JSON object on one line")
 
 
@@ -82,9 +80,7 @@ def _add_generate(parser: argparse.ArgumentParser) -> None:
         help="the suffix says the format: .npz, .bvh",
     )
     parser.add_argument("--graph", metavar="FILE", help="a graph in JSON instead of the text; - is stdin")
-    parser.add_argument(
-        "--seconds", type=float, metavar="S", help="length; default and limits are the bundle's"
-    )
+    parser.add_argument("--seconds", type=float, metavar="S", help="length; default and limits are the bundle's")
     parser.add_argument("--seed", type=int, help="the same seed gives the same clip; default: a new one")
     parser.add_argument(
         "--steps", type=level_steps, metavar="N[,N,N]", help="diffusion steps: one number, or one per level"

@@ -114,9 +114,7 @@ def graph_encoder(text_width: int) -> GraphContract:
 
 def _keys_values(level: LevelSpec, rows: str) -> tuple[TensorSpec, ...]:
     axes = (rows, level.heads, "S", level.width // level.heads)
-    return tuple(
-        TensorSpec(f"{kind}_{layer}", axes) for layer in range(level.layers) for kind in ("key", "value")
-    )
+    return tuple(TensorSpec(f"{kind}_{layer}", axes) for layer in range(level.layers) for kind in ("key", "value"))
 
 
 def context(name: str, level: LevelSpec, text_width: int, coarse: LevelSpec | None) -> GraphContract:

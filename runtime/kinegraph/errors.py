@@ -42,5 +42,5 @@ class NonFiniteError(KinegraphError, ArithmeticError):
     """A model produced NaN or infinity; the message names the stage."""
 
 
-class Cancelled(KinegraphError):  # noqa: N818 - it is a decision of the caller, not a failure
+class Cancelled(KinegraphError):
     """`on_step` asked to stop."""

@@ -87,7 +87,12 @@ class SemanticGraph:
         """What `to_json` writes. An action's order is told only where it is not its place in the list."""
         actions = []
         for place, action in enumerate(self.actions):
-            row: dict[str, Any] = {"text": action.text, "start": action.start, "end": action.end, "weight": action.weight}
+            row: dict[str, Any] = {
+                "text": action.text,
+                "start": action.start,
+                "end": action.end,
+                "weight": action.weight,
+            }
             if action.order != place:
                 row["order"] = action.order
             row["arguments"] = [

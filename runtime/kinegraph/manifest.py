@@ -75,9 +75,7 @@ class ScheduleSpec:
     @property
     def noise(self) -> NoiseSchedule:
         """The schedule to sample with."""
-        return NoiseSchedule(
-            self.train_steps, self.beta_start, self.beta_end, self.steps_offset, self.spacing
-        )
+        return NoiseSchedule(self.train_steps, self.beta_start, self.beta_end, self.steps_offset, self.spacing)
 
 
 @dataclass(frozen=True)

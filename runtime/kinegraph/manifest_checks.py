@@ -70,9 +70,7 @@ def _check_body(manifest: Manifest) -> None:
         "must be the 22 joints of kinegraph.motion.skeleton",
     )
     _require(skeleton.parents == PARENTS, "skeleton.parents", "must be those of kinegraph.motion.skeleton")
-    _require(
-        manifest.roles == ROLES, "roles", f"must be {list(ROLES)} in this order, found {list(manifest.roles)}"
-    )
+    _require(manifest.roles == ROLES, "roles", f"must be {list(ROLES)} in this order, found {list(manifest.roles)}")
     _require(
         1 <= manifest.text.width <= MAX_DIMS["width"],
         "text.width",
@@ -139,9 +137,7 @@ def _check_levels(levels: Mapping[str, LevelSpec]) -> None:
 
 
 def _check_keys(mapping: Mapping[str, object], key: str) -> None:
-    _require(
-        set(mapping) == set(LEVELS), key, f"must have exactly the keys {list(LEVELS)}, found {list(mapping)}"
-    )
+    _require(set(mapping) == set(LEVELS), key, f"must have exactly the keys {list(LEVELS)}, found {list(mapping)}")
 
 
 def _check_schedule(schedule: ScheduleSpec, defaults: Defaults, frames: FrameSpec, fps: float) -> None:
@@ -198,6 +194,4 @@ def _check_files(files: Mapping[str, FileSpec], operators: Mapping[str, tuple[st
         f"must have exactly the keys {sorted(GRAPH_FILES)}, found {sorted(operators)}",
     )
     for name, listed in operators.items():
-        _require(
-            list(listed) == sorted(set(listed)), f"operators.{name}", "must be sorted and without repeats"
-        )
+        _require(list(listed) == sorted(set(listed)), f"operators.{name}", "must be sorted and without repeats")

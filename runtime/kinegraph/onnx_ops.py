@@ -61,9 +61,7 @@ def check_self_contained(data: bytes, name: str) -> None:
         BundleFormatError: external tensor data, onnxruntime's own ORT format, or no ONNX model.
     """
     if data[4:8] == b"ORTM":
-        raise BundleFormatError(
-            f"{name} is in the ORT format, whose operators cannot be listed; export it as ONNX"
-        )
+        raise BundleFormatError(f"{name} is in the ORT format, whose operators cannot be listed; export it as ONNX")
     # Every external tensor has an entry with the key "location", so most files need no walk.
     if b"location" in data and summarise(data, name).external_data:
         raise BundleFormatError(f"{name} keeps tensors in another file; export it with all data inside")
@@ -76,9 +74,7 @@ class _MalformedError(Exception):
 _Visitor = Callable[[bytes, int, int, "_Found", int], None]
 
 
-def _walk(
-    message: Mapping[int, _Visitor], data: bytes, start: int, end: int, found: _Found, depth: int
-) -> None:
+def _walk(message: Mapping[int, _Visitor], data: bytes, start: int, end: int, found: _Found, depth: int) -> None:
     if depth > _MAX_DEPTH:
         raise _MalformedError(f"nested deeper than {_MAX_DEPTH}")
     for number, wire, begin, stop in _fields(data, start, end):

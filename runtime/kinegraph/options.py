@@ -126,9 +126,7 @@ def _per_level(
     if isinstance(wish, Mapping):
         for level in wish:
             if level not in LEVELS:
-                raise InvalidInputError(
-                    f"{name}: unknown level {_shown(level)}; the levels are {list(LEVELS)}"
-                )
+                raise InvalidInputError(f"{name}: unknown level {_shown(level)}; the levels are {list(LEVELS)}")
         given: dict[str, object] = dict(wish)
     elif isinstance(wish, list | tuple):
         if len(wish) != len(LEVELS):

@@ -1,14 +1,13 @@
 """From a sentence to a clip; the stages in order, as in GraphMotion's figure 2.
 
-    text -> graph -> node features -> graph attention -> motion -> action -> specific latent -> features -> joints
+text -> graph -> node features -> graph attention -> motion -> action -> specific latent -> features -> joints
 """
 
 from __future__ import annotations
 
 import threading
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import onnxruntime
@@ -48,7 +47,14 @@ _TO_JOINTS = {"joints-137": joints_from_features, "humanml3d-263": joints_from_h
 class MotionPipeline:
     """A loaded bundle. Any number of threads may share it; each call keeps its state to itself."""
 
-    def __init__(self, manifest: Manifest, sessions: Sessions, tokenizer: CaptionTokenizer, tables: Any, parser: Any) -> None:
+    def __init__(
+        self,
+        manifest: Manifest,
+        sessions: Sessions,
+        tokenizer: CaptionTokenizer,
+        tables: Mapping[str, FloatArray],
+        parser: LazyParser,
+    ) -> None:
         self.manifest = manifest
         """What the bundle is: licence, limits, defaults, measured quality."""
         self._sessions = sessions
@@ -195,7 +201,9 @@ class MotionPipeline:
 
         return predict
 
-    def _context(self, name: str, rows: Conditions, coarse: FloatArray | None) -> tuple[dict[str, FloatArray], FloatArray]:
+    def _context(
+        self, name: str, rows: Conditions, coarse: FloatArray | None
+    ) -> tuple[dict[str, FloatArray], FloatArray]:
         """Keys and values of every layer, and the attention bias (A, 1, C, S)."""
         session = self._sessions.context[name]
         feeds = {"nodes": rows.nodes, "kind": rows.kind, "order": rows.order}

@@ -84,9 +84,7 @@ def open_sessions(
         BundleFormatError: a graph's inputs or outputs differ from the contract.
     """
     if threads is not None and options is not None:
-        raise InvalidInputError(
-            "give either threads or session_options: the options hold a thread count already"
-        )
+        raise InvalidInputError("give either threads or session_options: the options hold a thread count already")
     wide = options or session_options(_thread_count(threads, min(2, available_cpus())))
     narrow = options or session_options(_thread_count(threads, 1))
     contracts = bundle.manifest.contracts
@@ -121,9 +119,7 @@ def open_session(
             disabled_optimizers=_DISABLED_OPTIMIZERS,
         )
     except ORT_ERRORS as error:
-        raise BundleError(
-            f"onnxruntime {onnxruntime.__version__} cannot load {contract.file}: {error}"
-        ) from error
+        raise BundleError(f"onnxruntime {onnxruntime.__version__} cannot load {contract.file}: {error}") from error
     check(session.get_inputs(), session.get_outputs(), contract)
     return session
 

@@ -32,9 +32,7 @@ def parse_object(data: bytes, where: str) -> dict[str, Any]:
         return found
 
     try:
-        value = json.loads(
-            data.decode("utf-8"), parse_constant=refuse_constant, object_pairs_hook=refuse_repeats
-        )
+        value = json.loads(data.decode("utf-8"), parse_constant=refuse_constant, object_pairs_hook=refuse_repeats)
     except (
         ValueError,
         RecursionError,
@@ -63,15 +61,11 @@ def _decode(kind: Any, value: object, where: str) -> object:
         return _decode_record(kind, value, where)
     if origin is tuple:
         items = _expect(list, value, where)
-        return tuple(
-            _decode(get_args(kind)[0], item, f"{where}[{index}]") for index, item in enumerate(items)
-        )
+        return tuple(_decode(get_args(kind)[0], item, f"{where}[{index}]") for index, item in enumerate(items))
     if origin is Mapping:
         record = _expect(dict, value, where)
         inner = get_args(kind)[1]
-        return types.MappingProxyType(
-            {_text(k, where): _decode(inner, v, f"{where}.{k}") for k, v in record.items()}
-        )
+        return types.MappingProxyType({_text(k, where): _decode(inner, v, f"{where}.{k}") for k, v in record.items()})
     if origin is Literal:
         if not isinstance(value, str) or value not in get_args(kind):
             raise BundleFormatError(f"{where} must be one of {list(get_args(kind))}, found {value!r}")
@@ -102,9 +96,7 @@ def _decode_scalar(allowed: tuple[type, ...], value: object, where: str) -> obje
         if not math.isfinite(number):
             raise BundleFormatError(f"{where} must be a finite number")
         return number
-    raise BundleFormatError(
-        f"{where} must be {' or '.join(kind.__name__ for kind in allowed)}, found {_kind(value)}"
-    )
+    raise BundleFormatError(f"{where} must be {' or '.join(kind.__name__ for kind in allowed)}, found {_kind(value)}")
 
 
 def _as_float(value: float) -> float:

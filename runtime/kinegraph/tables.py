@@ -45,9 +45,7 @@ def read_tables(data: bytes, manifest: Manifest) -> Mapping[str, FloatArray]:
     try:
         _check_members(data, shapes)
         with np.load(io.BytesIO(data), allow_pickle=False) as archive:
-            return MappingProxyType(
-                {name: _table(archive[name], name, shape) for name, shape in shapes.items()}
-            )
+            return MappingProxyType({name: _table(archive[name], name, shape) for name, shape in shapes.items()})
     except (zipfile.BadZipFile, zlib.error, ValueError, OSError, EOFError, KeyError, RuntimeError) as error:
         # RuntimeError: an encrypted member; NotImplementedError (a RuntimeError): an unknown compression.
         raise BundleFormatError(f"{FILE} is not an npz archive of plain arrays: {error}") from error

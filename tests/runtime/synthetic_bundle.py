@@ -58,23 +58,17 @@ def field(number: int, value: int | str | bytes) -> bytes:
 
 
 def value_info(spec: TensorSpec) -> bytes:
-    dims = b"".join(
-        field(1, field(1, axis) if isinstance(axis, int) else field(2, axis)) for axis in spec.axes
-    )
+    dims = b"".join(field(1, field(1, axis) if isinstance(axis, int) else field(2, axis)) for axis in spec.axes)
     element = {"float32": 1, "int64": 7}[spec.dtype]
     return field(1, spec.name) + field(2, field(1, field(1, element) + field(2, dims)))
 
 
-def node(
-    op: str, inputs: Sequence[str], outputs: Sequence[str], attributes: bytes = b"", domain: str = ""
-) -> bytes:
+def node(op: str, inputs: Sequence[str], outputs: Sequence[str], attributes: bytes = b"", domain: str = "") -> bytes:
     names = b"".join(field(1, name) for name in inputs) + b"".join(field(2, name) for name in outputs)
     return names + field(4, op) + field(7, domain) + attributes
 
 
-def model(
-    nodes: Sequence[bytes], inputs: bytes = b"", outputs: bytes = b"", initializers: bytes = b""
-) -> bytes:
+def model(nodes: Sequence[bytes], inputs: bytes = b"", outputs: bytes = b"", initializers: bytes = b"") -> bytes:
     graph = b"".join(field(1, item) for item in nodes) + field(2, "graph") + initializers + inputs + outputs
     return field(1, 8) + field(8, field(2, 17)) + field(7, graph)
 

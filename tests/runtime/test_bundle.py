@@ -135,9 +135,7 @@ def test_two_swapped_files_are_noticed(bundle: Path) -> None:
         verify_bundle(bundle)
 
 
-@pytest.mark.parametrize(
-    "name", ["notes.txt", ".DS_Store", "weights.bin", "DECODER.ONNX", "step_action_agd.onnx"]
-)
+@pytest.mark.parametrize("name", ["notes.txt", ".DS_Store", "weights.bin", "DECODER.ONNX", "step_action_agd.onnx"])
 def test_an_extra_file_is_noticed(bundle: Path, name: str) -> None:
     (bundle / name).write_bytes(b"x")
     with pytest.raises(BundleIntegrityError, match=name):
@@ -320,9 +318,7 @@ def external_decoder(location: str) -> bytes:
     "location", ["weights.bin", "../weights.bin", "/etc/hostname", "parser.bin", "*/_ORT_MEM_ADDR_/*"]
 )
 def test_tensors_outside_the_file_are_refused(tmp_path: Path, location: str) -> None:
-    folder = write_bundle(
-        tmp_path / "external", {**bundle_files(), "decoder.onnx": external_decoder(location)}
-    )
+    folder = write_bundle(tmp_path / "external", {**bundle_files(), "decoder.onnx": external_decoder(location)})
     with pytest.raises(BundleFormatError, match=r"decoder\.onnx keeps tensors in another file"):
         read_bundle(folder)
 

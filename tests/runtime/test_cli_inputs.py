@@ -80,9 +80,7 @@ class Parser:
         (["parse", "a person walks", "--faster"], "--faster"),
     ],
 )
-def test_wrong_usage(
-    capsys: pytest.CaptureFixture[str], here: Path, arguments: list[str], message: str
-) -> None:
+def test_wrong_usage(capsys: pytest.CaptureFixture[str], here: Path, arguments: list[str], message: str) -> None:
     with pytest.raises(SystemExit) as end:
         cli.main(arguments)
     assert end.value.code == 2
@@ -267,9 +265,7 @@ def test_an_interrupt_is_130(
     assert capsys.readouterr().err == "kinegraph: cancelled\n"
 
 
-def test_messages_stay_on_one_line(
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_messages_stay_on_one_line(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
     def broken(*_: object) -> None:
         raise InvalidInputError("first\nsecond\r\n\tthird")
 
@@ -350,9 +346,7 @@ def test_bad_text_and_options_write_nothing(
 
 @needs_default
 @pytest.mark.parametrize("text", ["😀", "\udcff walks", "a\0b", "\u202e\u200b"])
-def test_odd_text_ends_in_a_clip_or_one_line(
-    capsys: pytest.CaptureFixture[str], here: Path, text: str
-) -> None:
+def test_odd_text_ends_in_a_clip_or_one_line(capsys: pytest.CaptureFixture[str], here: Path, text: str) -> None:
     code = cli.main(["generate", text, "-o", "x.npz", "--steps", "1", "--seed", "1"])
     captured = capsys.readouterr()
     if code == 0:

@@ -82,9 +82,7 @@ def test_refuses(changes: dict[str, object], message: str) -> None:
 def test_saves_by_suffix_and_leaves_nothing_else(tmp_path: Path, suffix: str) -> None:
     clip().save(tmp_path / f"walk{suffix}")
     clip().save(str(tmp_path / f"again{suffix.upper()}"))
-    assert sorted(path.name for path in tmp_path.iterdir()) == sorted(
-        [f"again{suffix.upper()}", f"walk{suffix}"]
-    )
+    assert sorted(path.name for path in tmp_path.iterdir()) == sorted([f"again{suffix.upper()}", f"walk{suffix}"])
     first, second = (path.read_bytes() for path in tmp_path.iterdir())
     assert first == second
     assert len(first) > 1000
@@ -159,9 +157,7 @@ def test_check_target_writes_nothing(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("blocked", ["folder", "file"])
-def test_targets_without_the_right_to_write(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, blocked: str
-) -> None:
+def test_targets_without_the_right_to_write(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, blocked: str) -> None:
     # Rights do not bind root, under whom tests may run.
     target = tmp_path / "there.npz"
     target.write_bytes(b"old")

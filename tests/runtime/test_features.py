@@ -69,9 +69,7 @@ def test_mirrored_features() -> None:
     rows, other = features_from_joints(joints), features_from_joints(mirrored(joints))
     np.testing.assert_allclose(mirrored(mirrored(joints)), joints)
     np.testing.assert_allclose(other[:, layout.YAW_VELOCITY], -rows[:, layout.YAW_VELOCITY], atol=1e-5)
-    np.testing.assert_allclose(
-        other[:, layout.ROOT_VELOCITY], rows[:, layout.ROOT_VELOCITY] * [-1, 1], atol=1e-5
-    )
+    np.testing.assert_allclose(other[:, layout.ROOT_VELOCITY], rows[:, layout.ROOT_VELOCITY] * [-1, 1], atol=1e-5)
     np.testing.assert_allclose(other[:, layout.HEIGHT], rows[:, layout.HEIGHT])
     places = rows[:, layout.POSITIONS].reshape(-1, 21, 3)
     other_places = other[:, layout.POSITIONS].reshape(-1, 21, 3)

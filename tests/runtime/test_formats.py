@@ -57,9 +57,7 @@ def read_bvh(data: bytes) -> tuple[list[str], dict[str, str | None], np.ndarray,
         world: dict[str, np.ndarray] = {}
         for name in names:
             parent = parents[name]
-            place = (
-                shifts[name] if parent is None else world[parent][:, 3] + world[parent][:, :3] @ shifts[name]
-            )
+            place = shifts[name] if parent is None else world[parent][:, 3] + world[parent][:, :3] @ shifts[name]
             turned = axes[name] if parent is None else world[parent][:, :3] @ axes[name]
             world[name] = np.column_stack([turned, place])
         places.append([world[name][:, 3] for name in JOINT_NAMES])
@@ -71,9 +69,7 @@ def test_bvh_of_a_walking_figure(turning: float) -> None:
     joints = walk(70, turning=turning)
     names, parents, places, frame_time = read_bvh(encode(clip(joints, fps=30.0), ".bvh"))
     assert sorted(names) == sorted(JOINT_NAMES)
-    expected = {
-        name: None if up < 0 else JOINT_NAMES[up] for name, up in zip(JOINT_NAMES, PARENTS, strict=True)
-    }
+    expected = {name: None if up < 0 else JOINT_NAMES[up] for name, up in zip(JOINT_NAMES, PARENTS, strict=True)}
     assert parents == expected
     assert frame_time == pytest.approx(1 / 30, abs=1e-8)
     assert np.linalg.norm(places / 100 - joints, axis=-1).max() < 1e-3
@@ -111,9 +107,7 @@ def test_bvh_angles_do_not_jump_while_the_body_turns_around_twice() -> None:
 @pytest.mark.parametrize("x", [0.3, 1.5707, np.pi / 2, -np.pi / 2, 2.5])
 def test_euler_angles_give_the_matrix_back(x: float) -> None:
     rng = np.random.default_rng(0)
-    turns = np.stack(
-        [turn("z", a) @ turn("x", x) @ turn("y", b) for a, b in rng.uniform(-3, 3, size=(30, 2))]
-    )[:, None]
+    turns = np.stack([turn("z", a) @ turn("x", x) @ turn("y", b) for a, b in rng.uniform(-3, 3, size=(30, 2))])[:, None]
     angles = euler_zxy(turns)
     again = np.stack([turn("z", z) @ turn("x", x) @ turn("y", y) for z, x, y in angles[:, 0]])
     np.testing.assert_allclose(again, turns[:, 0], atol=1e-6)

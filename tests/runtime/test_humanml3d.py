@@ -36,9 +36,7 @@ def test_equals_the_released_code(official: dict[str, np.ndarray]) -> None:
 
 
 def test_the_released_code_does_not_face_where_the_body_faces(official: dict[str, np.ndarray]) -> None:
-    rows = humanml3d_from_joints(
-        official["positions_in"], heading="true", target_offsets=official["target_offsets"]
-    )
+    rows = humanml3d_from_joints(official["positions_in"], heading="true", target_offsets=official["target_offsets"])
     assert np.abs(rows - official["features"]).max() > 1e-2
 
 
@@ -106,9 +104,7 @@ def test_rotations_turn_the_bones() -> None:
     columns = rows[:, layout.ROTATIONS].reshape(-1, 21, 2, 3).astype(np.float64)
     x, y = columns[..., 0, :], columns[..., 1, :]
     local = np.stack([x, y, np.cross(x, y, axis=-1)], axis=-1)
-    np.testing.assert_allclose(
-        local.swapaxes(-1, -2) @ local, np.broadcast_to(np.eye(3), local.shape), atol=1e-5
-    )
+    np.testing.assert_allclose(local.swapaxes(-1, -2) @ local, np.broadcast_to(np.eye(3), local.shape), atol=1e-5)
     for frame in (0, 7, 18):
         root = turn("y", -float(facing_angle(joints)[frame])) if frame else np.eye(3)
         for chain in CHAINS:

@@ -22,13 +22,7 @@ GOOD = manifest_object()
 
 def paths(value: Any, here: tuple[Any, ...] = ()) -> Iterator[tuple[Any, ...]]:
     """Every key and the first item of every list."""
-    items = (
-        value.items()
-        if isinstance(value, dict)
-        else list(enumerate(value))[:1]
-        if isinstance(value, list)
-        else ()
-    )
+    items = value.items() if isinstance(value, dict) else list(enumerate(value))[:1] if isinstance(value, list) else ()
     for key, inner in items:
         yield (*here, key)
         yield from paths(inner, (*here, key))
@@ -105,9 +99,7 @@ def test_the_parser_is_optional() -> None:
     assert "parser.bin" not in decode_manifest(sealed(value)).files
 
 
-@pytest.mark.parametrize(
-    "path", [p for p in ALL_PATHS if isinstance(leaf(p), dict) and p not in FREE_MAPS], ids=dotted
-)
+@pytest.mark.parametrize("path", [p for p in ALL_PATHS if isinstance(leaf(p), dict) and p not in FREE_MAPS], ids=dotted)
 def test_an_unknown_key_is_named(path: tuple[Any, ...]) -> None:
     with pytest.raises(BundleFormatError, match="surprise") as caught:
         decode_manifest(sealed(changed((*path, "surprise"), leaf(path).get("motion", 1))))
@@ -192,9 +184,7 @@ BREAKS: list[tuple[tuple[Any, ...], object]] = [
 ]
 
 
-@pytest.mark.parametrize(
-    ("path", "value"), BREAKS, ids=lambda item: dotted(item) if isinstance(item, tuple) else None
-)
+@pytest.mark.parametrize(("path", "value"), BREAKS, ids=lambda item: dotted(item) if isinstance(item, tuple) else None)
 def test_fields_that_make_no_sense_are_named(path: tuple[Any, ...], value: object) -> None:
     with pytest.raises(BundleFormatError) as caught:
         decode_manifest(sealed(changed(path, value)))

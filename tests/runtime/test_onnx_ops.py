@@ -29,9 +29,7 @@ def external_tensor() -> bytes:
 
 
 def test_domains_nested_graphs_and_functions_are_listed() -> None:
-    inner = node(
-        "If", ["c"], ["y"], subgraph("then_branch", node("Gelu", ["x"], ["y"], domain="com.microsoft"))
-    )
+    inner = node("If", ["c"], ["y"], subgraph("then_branch", node("Gelu", ["x"], ["y"], domain="com.microsoft")))
     outer = node("Loop", ["n"], ["y"], subgraph("body", inner))
     function = field(1, "Mine") + field(10, "local") + field(7, node("Tanh", ["x"], ["y"]))
     data = model([outer, node("Mine", ["x"], ["z"], domain="local")]) + field(25, function)
@@ -53,12 +51,8 @@ TENSOR_PLACES = {
     "initializer": model([node("Add", ["a"], ["b"])], initializers=field(5, external_tensor())),
     "sparse values": model([node("Add", ["a"], ["b"])], initializers=field(15, field(1, external_tensor()))),
     "sparse indices": model([node("Add", ["a"], ["b"])], initializers=field(15, field(2, external_tensor()))),
-    "constant": model(
-        [node("Constant", [], ["b"], field(5, field(1, "value") + field(5, external_tensor())))]
-    ),
-    "list of constants": model(
-        [node("X", [], ["b"], field(5, field(1, "v") + field(10, external_tensor())))]
-    ),
+    "constant": model([node("Constant", [], ["b"], field(5, field(1, "value") + field(5, external_tensor())))]),
+    "list of constants": model([node("X", [], ["b"], field(5, field(1, "v") + field(10, external_tensor())))]),
     "nested": model(
         [
             node(
@@ -165,9 +159,7 @@ def test_models_of_the_onnx_package_are_read() -> None:
         [tensor],
     )
     opsets = [helper.make_opsetid("", 18), helper.make_opsetid("mine", 1)]
-    twice = helper.make_function(
-        "mine", "Twice", ["x"], ["y"], [helper.make_node("Add", ["x", "x"], ["y"])], opsets
-    )
+    twice = helper.make_function("mine", "Twice", ["x"], ["y"], [helper.make_node("Add", ["x", "x"], ["y"])], opsets)
     proto = helper.make_model(graph, functions=[twice], opset_imports=opsets)
     expected = {*operators_of(onnx, proto.graph), "ai.onnx::Add"}
     summary = summarise(proto.SerializeToString(), "m.onnx")

@@ -90,9 +90,7 @@ BAD_SECONDS = [
 @pytest.mark.parametrize(
     "seconds",
     BAD_SECONDS,
-    ids=lambda value: (
-        type(value).__name__ + repr(value)[:20] if not isinstance(value, Fraction) else "fraction"
-    ),
+    ids=lambda value: type(value).__name__ + repr(value)[:20] if not isinstance(value, Fraction) else "fraction",
 )
 def test_bad_seconds_name_the_limits(seconds: object) -> None:
     with pytest.raises(InvalidInputError, match=r"seconds must be 0\.8 to 9\.8 seconds") as caught:
@@ -113,9 +111,7 @@ def test_seeds_are_kept(seed: int) -> None:
     ids=lambda v: str(v)[:9] if not isinstance(v, int) else f"{v.bit_length()} bits",
 )
 def test_bad_seeds_are_refused(seed: object) -> None:
-    with pytest.raises(
-        InvalidInputError, match=r"seed must be a whole number from 0 to 2\*\*63 - 1"
-    ) as caught:
+    with pytest.raises(InvalidInputError, match=r"seed must be a whole number from 0 to 2\*\*63 - 1") as caught:
         generate_options(TOY, seed=seed)  # type: ignore[arg-type]
     assert len(str(caught.value)) < 200
 

@@ -53,9 +53,7 @@ def independent_fk(offsets: np.ndarray, root: np.ndarray, turns: np.ndarray) -> 
 def test_products_and_matrices_agree(z: float, x: float, y: float) -> None:
     matrix, turned = matrix_of(z, x, y), quaternion_of(z, x, y)
     np.testing.assert_allclose(q.to_matrix(turned), matrix, atol=1e-12)
-    np.testing.assert_allclose(
-        q.rotate(turned, np.array([0.3, -2.0, 0.7])), matrix @ [0.3, -2.0, 0.7], atol=1e-12
-    )
+    np.testing.assert_allclose(q.rotate(turned, np.array([0.3, -2.0, 0.7])), matrix @ [0.3, -2.0, 0.7], atol=1e-12)
     np.testing.assert_allclose(q.to_matrix(q.conjugate(turned)), matrix.T, atol=1e-12)
     again = q.from_matrix(matrix)
     assert again[0] >= 0
@@ -153,9 +151,7 @@ def test_the_t_pose_needs_no_turns_but_its_bend_of_the_limbs() -> None:
 def test_rest_offsets_have_the_mean_lengths_and_stand_upright() -> None:
     joints = walk(50, turning=0.1, heading=1.0)
     offsets = rest_offsets(joints)
-    np.testing.assert_allclose(
-        np.linalg.norm(offsets, axis=-1)[1:], bone_lengths(joints).mean(axis=0), atol=1e-6
-    )
+    np.testing.assert_allclose(np.linalg.norm(offsets, axis=-1)[1:], bone_lengths(joints).mean(axis=0), atol=1e-6)
     assert not offsets[0].any()
     left = [JOINT_INDEX[name] for name in ("left_hip", "left_collar", "left_shoulder", "left_wrist")]
     right = [JOINT_INDEX[name] for name in ("right_hip", "right_collar", "right_shoulder", "right_wrist")]

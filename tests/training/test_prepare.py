@@ -107,9 +107,7 @@ def bvh_text(
             for axis, angle in zip(order_of[joint], degrees[frame, joint], strict=True):
                 own = own @ turn(axis, np.radians(angle))
             axes.append(own if parent < 0 else axes[parent] @ own)
-            places[frame, joint] = (
-                root[frame] if parent < 0 else places[frame, parent] + axes[parent] @ OFFSETS[joint]
-            )
+            places[frame, joint] = root[frame] if parent < 0 else places[frame, parent] + axes[parent] @ OFFSETS[joint]
     motion = ["MOTION", f"Frames: {frames}", f"Frame Time: {1 / fps:.8f}", *rows]
     return "\n".join(["HIERARCHY", *lines(0), *motion]) + "\n", places
 
@@ -258,9 +256,7 @@ def test_missing_spine_joints_lie_between_their_neighbours(tmp_path: Path) -> No
     at = {name: joints[:, index] for index, name in enumerate(JOINT_NAMES)}
     for below, joint, above in (("pelvis", "spine2", "neck"), ("neck", "left_collar", "left_shoulder")):
         whole = np.linalg.norm(at[above] - at[below], axis=-1)
-        parts = np.linalg.norm(at[joint] - at[below], axis=-1) + np.linalg.norm(
-            at[above] - at[joint], axis=-1
-        )
+        parts = np.linalg.norm(at[joint] - at[below], axis=-1) + np.linalg.norm(at[above] - at[joint], axis=-1)
         assert (parts <= 1.1 * whole).all()
         assert (parts >= whole - 1e-5).all()
     assert places.shape == (30, 22, 3)
@@ -277,17 +273,13 @@ def test_bandai_spine_is_half_way() -> None:
 
 def test_a_map_file_goes_before_the_tables(tmp_path: Path) -> None:
     text, places = bvh_text()
-    (tmp_path / "map.json").write_text(
-        json.dumps({"head": ["Neck", "HEAD", 0.5], "left_foot": "LeftToeBase.end"})
-    )
+    (tmp_path / "map.json").write_text(json.dumps({"head": ["Neck", "HEAD", 0.5], "left_foot": "LeftToeBase.end"}))
     joints = prepared(tmp_path, text, own_map=read_map(tmp_path / "map.json"))
     plain = prepared(tmp_path, text)
     head, neck, foot = JOINT_NAMES.index("head"), JOINT_NAMES.index("neck"), JOINT_NAMES.index("left_foot")
     lowered = joints[:, neck] - plain[:, neck]
     np.testing.assert_allclose(joints[:, head] - lowered, (plain[:, head] + plain[:, neck]) / 2, atol=1e-5)
-    np.testing.assert_allclose(
-        np.linalg.norm(joints[:, foot] - lowered - plain[:, foot], axis=-1), 0.05, atol=1e-4
-    )
+    np.testing.assert_allclose(np.linalg.norm(joints[:, foot] - lowered - plain[:, foot], axis=-1), 0.05, atol=1e-4)
     assert places.shape == joints.shape
 
 
@@ -380,9 +372,7 @@ def test_a_folder_becomes_training_data(tmp_path: Path, capsys: pytest.CaptureFi
     arguments = folder_of(tmp_path, {name: text for name, (text, _) in files.items()})
     assert main([*arguments, "--val", "0.2", "--test", "0.2"]) == 0
     assert "12 clips" in capsys.readouterr().out
-    clips = {
-        clip.id: clip for split in ("train", "val", "test") for clip in read_split(tmp_path / "out", split)
-    }
+    clips = {clip.id: clip for split in ("train", "val", "test") for clip in read_split(tmp_path / "out", split)}
     assert sorted(clips) == sorted(name.removesuffix(".bvh") for name in files)
     for name, (_, places) in files.items():
         clip = clips[name.removesuffix(".bvh")]
@@ -450,9 +440,7 @@ def write(tmp_path: Path, name: str, text: str) -> Path:
 
 def test_captions_of_all_kinds(tmp_path: Path) -> None:
     expected = {"a.bvh": ("walks, then bows", "bows"), "b": ("runs",)}
-    lines = (
-        '{"file": "a.bvh", "captions": ["walks, then  bows", "bows"]}\n\n{"file": "b", "caption": "runs"}\n'
-    )
+    lines = '{"file": "a.bvh", "captions": ["walks, then  bows", "bows"]}\n\n{"file": "b", "caption": "runs"}\n'
     assert read_captions(write(tmp_path, "c.jsonl", lines)) == expected
     rows = '\ufefffile,caption\na.bvh,"walks, then bows"\na.bvh,bows\nb, runs \n'
     assert read_captions(write(tmp_path, "c.csv", rows)) == expected
@@ -496,9 +484,7 @@ def test_captions_find_their_files() -> None:
         "deep/b": ("y", "v"),
         "deep/c": ("z",),
     }
-    with pytest.raises(
-        InvalidInputError, match=r"captions without a BVH file: d.*BVH files without a caption: a, b"
-    ):
+    with pytest.raises(InvalidInputError, match=r"captions without a BVH file: d.*BVH files without a caption: a, b"):
         matched({"d": ("x",)}, ["b", "a"])
     with pytest.raises(InvalidInputError, match=r"a\.bvh \(which of one/a, two/a\?\)"):
         matched({"a.bvh": ("x",), "one/a": ("y",), "two/a": ("z",)}, ["one/a", "two/a"])

@@ -166,9 +166,7 @@ def _hierarchy(head: str) -> list[Bone]:
         else:
             raise InvalidInputError(f"{line.strip()!r} is no line of a HIERARCHY part")
     if stack or not done:
-        raise InvalidInputError(
-            "the HIERARCHY part has no joint or ends inside of one; the file is cut short"
-        )
+        raise InvalidInputError("the HIERARCHY part has no joint or ends inside of one; the file is cut short")
     return [done[index] for index in range(count)]
 
 
@@ -176,9 +174,7 @@ def _offset(name: str, words: list[str]) -> tuple[float, float, float]:
     try:
         x, y, z = (float(word) for word in words)
     except ValueError as error:
-        raise InvalidInputError(
-            f"OFFSET of {name!r} is {' '.join(words)!r}; it must be three numbers"
-        ) from error
+        raise InvalidInputError(f"OFFSET of {name!r} is {' '.join(words)!r}; it must be three numbers") from error
     if not np.isfinite([x, y, z]).all():
         raise InvalidInputError(f"OFFSET of {name!r} is not finite")
     return x, y, z
@@ -202,9 +198,7 @@ def _motion(text: str) -> tuple[int, float, Floats]:
             raise ValueError("other words")
         frames, frame_time = int(words[1]), float(words[4])
     except (IndexError, ValueError) as error:
-        raise InvalidInputError(
-            'the MOTION part must start with "Frames: N" and "Frame Time: SECONDS"'
-        ) from error
+        raise InvalidInputError('the MOTION part must start with "Frames: N" and "Frame Time: SECONDS"') from error
     if frames < 1 or not (np.isfinite(frame_time) and frame_time > 0):
         raise InvalidInputError(f"{frames} frames of {frame_time} seconds; both must be above 0")
     try:

@@ -95,16 +95,12 @@ def _json_lines(path: Path, text: str) -> Iterator[Line]:
         except (ValueError, RecursionError) as error:
             raise InvalidInputError(f"{path}, line {number}: no JSON ({error})") from error
         match row:
-            case {"file": str() as name, "captions": [*texts]} if texts and all(
-                isinstance(t, str) for t in texts
-            ):
+            case {"file": str() as name, "captions": [*texts]} if texts and all(isinstance(t, str) for t in texts):
                 yield from ((number, name, caption) for caption in texts)
             case {"file": str() as name, "caption": str() as caption}:
                 yield number, name, caption
             case _:
-                raise InvalidInputError(
-                    f'{path}, line {number}: must be {{"file": "x.bvh", "captions": ["..."]}}'
-                )
+                raise InvalidInputError(f'{path}, line {number}: must be {{"file": "x.bvh", "captions": ["..."]}}')
 
 
 def _comma_rows(path: Path, text: str) -> Iterator[Line]:

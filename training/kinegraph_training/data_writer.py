@@ -40,8 +40,7 @@ def split_of(ids: Sequence[str], *, val: float, test: float) -> dict[str, str]:
     `train`."""
     place = {each: _hash(each) for each in ids}
     splits = {
-        each: "test" if share < test else "val" if share < test + val else "train"
-        for each, share in place.items()
+        each: "test" if share < test else "val" if share < test + val else "train" for each, share in place.items()
     }
     for split, share in (("val", val), ("test", test)):
         left = sorted((each for each in ids if splits[each] == "train"), key=lambda each: place[each])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 import torch
@@ -88,7 +89,7 @@ class DenoiserBatches:
         graph, bias = self._graphs(numbers)
         rows = torch.tensor(numbers)
         latents = {level: self.latents[level].sample(rows, self.generator) for level in LEVELS}
-        coarse = {level: self._noisy(latents[above]) for above, level in zip(LEVELS, LEVELS[1:], strict=False)}
+        coarse = {level: self._noisy(latents[above]) for above, level in pairwise(LEVELS)}
         frames = torch.tensor([len(self.dataset.features[number]) for number in numbers])
         batch = DenoiserBatch(graph, bias, latents, coarse, torch.zeros(len(numbers)), frames)
         return self._with_null_rows(batch) if self.augment else batch

@@ -50,10 +50,7 @@ _MIXAMO_LIMBS: Final = {
 TABLES: Final[dict[str, dict[str, tuple[str, ...]]]] = {
     "SMPL": _both_sides(
         {joint: joint.replace("_", "") for joint in ("pelvis", "spine1", "spine2", "spine3", "neck", "head")},
-        {
-            part: f"{{side}}{part}|{{s}}{part}"
-            for part in ("hip", "knee", "ankle", "collar", "shoulder", "elbow")
-        }
+        {part: f"{{side}}{part}|{{s}}{part}" for part in ("hip", "knee", "ankle", "collar", "shoulder", "elbow")}
         | {"foot": "{side}foot|{s}foot|{side}toe|{s}toe", "wrist": "{side}wrist|{s}wrist"},
     ),
     "CMU": _both_sides(
@@ -158,8 +155,7 @@ def joint_map(names: tuple[str, ...], own: Mapping[str, Source] | None = None) -
     found: dict[str, dict[str, Source]] = {}
     for convention, table in TABLES.items():
         hits = (
-            (joint, next((known[name] for name in wanted if name in known), None))
-            for joint, wanted in table.items()
+            (joint, next((known[name] for name in wanted if name in known), None)) for joint, wanted in table.items()
         )
         found[convention] = {**{joint: name for joint, name in hits if name is not None}, **own_sources}
     convention = max(found, key=lambda each: len(found[each]))
@@ -250,8 +246,7 @@ def _resolved(joint: str, source: Source, known: Mapping[str, str]) -> Source:
     for name, hit in zip(wanted, names, strict=True):
         if hit is None:
             raise InvalidInputError(
-                f"the map takes {joint} from {name!r}, which the file lacks; it has "
-                f"{', '.join(known.values())}"
+                f"the map takes {joint} from {name!r}, which the file lacks; it has {', '.join(known.values())}"
             )
     resolved = [name for name in names if name is not None]
     return resolved[0] if isinstance(source, str) else (resolved[0], resolved[1], source[2])

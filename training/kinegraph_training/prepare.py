@@ -98,9 +98,7 @@ def clip_joints(path: Path, options: PrepareOptions) -> FloatArray:
         motion = resampled(motion, options.fps)
         places = mapped(joint_positions(motion), motion.names, sources)
         if len(places) < 2:
-            raise InvalidInputError(
-                f"less than two frames at {options.fps:g} frames per second; too short to train on"
-            )
+            raise InvalidInputError(f"less than two frames at {options.fps:g} frames per second; too short to train on")
         scale = unit_of(places) if options.scale is None else options.scale
         joints = placed(_y_up(places, options.up) * scale)
         _check_range(joints)
@@ -153,23 +151,15 @@ def _check_range(joints: FloatArray) -> None:
     relative = joints * [1, 1, 1]
     relative[..., [0, 2]] -= joints[:, PELVIS : PELVIS + 1, [0, 2]]
     if not np.isfinite(joints).all() or np.abs(relative).max() / STEP_METRES > np.iinfo(np.int16).max:
-        raise InvalidInputError(
-            "a joint is more than 3.2 m from the body or above the floor; check --scale and --up"
-        )
+        raise InvalidInputError("a joint is more than 3.2 m from the body or above the floor; check --scale and --up")
 
 
 def _check_out(out: Path, force: bool) -> None:
     if out.exists() and not out.is_dir():
         raise OutputError(f"{out} is a file; --out must be a folder")
-    taken = (
-        sorted(path.name for path in out.glob("*") if path.suffix in (".npz", ".jsonl"))
-        if out.is_dir()
-        else []
-    )
+    taken = sorted(path.name for path in out.glob("*") if path.suffix in (".npz", ".jsonl")) if out.is_dir() else []
     if taken and not force:
-        raise OutputError(
-            f"{out} holds {', '.join(taken)}; choose another folder or replace them with --force"
-        )
+        raise OutputError(f"{out} holds {', '.join(taken)}; choose another folder or replace them with --force")
 
 
 def _bvh_files(folder: Path) -> dict[str, Path]:
@@ -209,29 +199,15 @@ def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="python -m kinegraph_training.prepare", description="BVH files -> training data"
     )
-    parser.add_argument(
-        "--bvh", type=Path, required=True, help="folder with BVH files, searched with its subfolders"
-    )
+    parser.add_argument("--bvh", type=Path, required=True, help="folder with BVH files, searched with its subfolders")
     parser.add_argument("--captions", type=Path, required=True, help="captions as .jsonl, .csv or .tsv")
     parser.add_argument("--out", type=Path, required=True, help="folder to write")
-    parser.add_argument(
-        "--fps", type=float, default=20.0, help="frames per second of the result (default 20)"
-    )
-    parser.add_argument(
-        "--map", type=Path, help='JSON file {"pelvis": "Hips", "spine1": ["Hips", "Spine", 0.5], ...}'
-    )
-    parser.add_argument(
-        "--scale", type=float, help="metres per unit of the files; default: guessed from the legs"
-    )
-    parser.add_argument(
-        "--up", choices=("y", "z"), default="y", help="axis that points up in the files (default y)"
-    )
-    parser.add_argument(
-        "--val", type=float, default=0.05, help="share of clips for model selection (default 0.05)"
-    )
-    parser.add_argument(
-        "--test", type=float, default=0.05, help="share of clips kept for a test (default 0.05)"
-    )
+    parser.add_argument("--fps", type=float, default=20.0, help="frames per second of the result (default 20)")
+    parser.add_argument("--map", type=Path, help='JSON file {"pelvis": "Hips", "spine1": ["Hips", "Spine", 0.5], ...}')
+    parser.add_argument("--scale", type=float, help="metres per unit of the files; default: guessed from the legs")
+    parser.add_argument("--up", choices=("y", "z"), default="y", help="axis that points up in the files (default y)")
+    parser.add_argument("--val", type=float, default=0.05, help="share of clips for model selection (default 0.05)")
+    parser.add_argument("--test", type=float, default=0.05, help="share of clips kept for a test (default 0.05)")
     parser.add_argument("--skip-broken", action="store_true", help="leave out files that cannot be read")
     parser.add_argument("--force", action="store_true", help="replace the data in --out")
     return parser

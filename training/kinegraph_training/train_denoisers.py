@@ -102,7 +102,9 @@ class DenoiserModule(L.LightningModule):
             for level, value in self.losses(shown, generator).items():
                 self.log(f"val/{level}{name}", value.mean(), batch_size=len(batch.frames), on_epoch=True)
 
-    def transfer_batch_to_device(self, batch: DenoiserBatch, device: torch.device, dataloader_idx: int) -> DenoiserBatch:
+    def transfer_batch_to_device(
+        self, batch: DenoiserBatch, device: torch.device, dataloader_idx: int
+    ) -> DenoiserBatch:
         return batch.to(device)
 
     def configure_optimizers(self) -> Any:
@@ -154,7 +156,9 @@ def main(argv: list[str] | None = None) -> None:
     """Command line."""
     parser = argparse.ArgumentParser(prog="kinegraph_training.train_denoisers", description=__doc__.split("\n")[0])
     add_common_arguments(parser)
-    parser.add_argument("--assets", type=Path, required=True, help="folder with text_encoder.onnx, tokenizer.json, parser.bin")
+    parser.add_argument(
+        "--assets", type=Path, required=True, help="folder with text_encoder.onnx, tokenizer.json, parser.bin"
+    )
     arguments, lightning = parser.parse_known_args(argv)
     preset = read_preset(arguments.preset)
     if arguments.threads:

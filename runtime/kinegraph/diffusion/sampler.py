@@ -56,9 +56,7 @@ def initial_noise(seed: int, plans: Sequence[LevelPlan]) -> tuple[FloatArray, ..
     """One sample's starting noise per level, (C, z) each, drawn in the order of the levels from the sample's own
     generator: neighbours in a batch do not change it, nor is any global state touched."""
     generator = np.random.Generator(np.random.PCG64(seed))
-    return tuple(
-        generator.standard_normal((plan.tokens, plan.latent_width), dtype=np.float32) for plan in plans
-    )
+    return tuple(generator.standard_normal((plan.tokens, plan.latent_width), dtype=np.float32) for plan in plans)
 
 
 def sample_level(

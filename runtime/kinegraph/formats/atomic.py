@@ -91,9 +91,7 @@ def _mode(path: Path) -> int | None:
     except (FileNotFoundError, NotADirectoryError):
         return None
     except (OSError, ValueError) as error:
-        raise OutputError(
-            f"{str(path)!r} is no usable path ({_reason(error)}); choose another name"
-        ) from error
+        raise OutputError(f"{str(path)!r} is no usable path ({_reason(error)}); choose another name") from error
 
 
 def _check_folder(target: Path) -> None:

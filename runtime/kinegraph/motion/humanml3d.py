@@ -37,9 +37,7 @@ VELOCITIES: Final = slice(193, 259)
 CONTACTS: Final = slice(259, 263)
 WIDTH: Final = 263
 
-GROUPS: Final[tuple[slice, ...]] = (
-    *(YAW_VELOCITY, ROOT_VELOCITY, HEIGHT, POSITIONS, ROTATIONS, VELOCITIES, CONTACTS),
-)
+GROUPS: Final[tuple[slice, ...]] = (*(YAW_VELOCITY, ROOT_VELOCITY, HEIGHT, POSITIONS, ROTATIONS, VELOCITIES, CONTACTS),)
 """Features whose standard deviation is averaged together in the published statistics."""
 
 CONTACT_SQUARED_STEP: Final = 0.002

@@ -125,9 +125,7 @@ def retargeted(joints: FloatArray, target_offsets: FloatArray, *, heading: Headi
         raise InvalidInputError(f"target_offsets have shape {target.shape}; they must be {allowed}")
     own, wanted = _leg_length(_offsets_of(joints[0])), _leg_length(target)
     if own == 0 or wanted == 0:
-        raise InvalidInputError(
-            "the right leg has no length; retargeting needs thigh and shank on both sides"
-        )
+        raise InvalidInputError("the right leg has no length; retargeting needs thigh and shank on both sides")
     turns = solve(joints, heading=heading, smooth=False)
     return chain_kinematics(turns, joints[:, 0] * (wanted / own), target)
 

@@ -128,9 +128,7 @@ def rest_offsets(joints: Floats) -> Floats:
         children = list(CHILDREN[joint])
         left, right = (child for child in children if child != JOINT_INDEX[up])
         bones = np.asarray(joints[:, children] - joints[:, joint, None], dtype=np.float64)
-        frame = _plane_frame(
-            joints[:, left] - joints[:, right], joints[:, JOINT_INDEX[up]] - joints[:, joint]
-        )
+        frame = _plane_frame(joints[:, left] - joints[:, right], joints[:, JOINT_INDEX[up]] - joints[:, joint])
         seen = normalised(np.einsum("tij,tcj->tci", frame, bones).mean(axis=0))
         missing = ~seen.any(axis=-1)
         seen[missing] = REST_DIRECTIONS[children][missing]

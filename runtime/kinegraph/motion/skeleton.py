@@ -49,9 +49,7 @@ FEET: Final[tuple[int, ...]] = tuple(
 """Order of the four contact features (HumanML3D: left ankle and toe, then right)."""
 
 MIRROR: Final[tuple[int, ...]] = tuple(
-    JOINT_INDEX[
-        name.replace("left", "right") if name.startswith("left") else name.replace("right", "left")
-    ]
+    JOINT_INDEX[name.replace("left", "right") if name.startswith("left") else name.replace("right", "left")]
     for name in JOINT_NAMES
 )
 """`joints[:, MIRROR] * (-1, 1, 1)` is the same motion seen in a mirror."""
@@ -82,4 +80,5 @@ def mirrored(joints: FloatArray) -> FloatArray:
 def bone_lengths(joints: FloatArray) -> FloatArray:
     """Distance of every joint but the pelvis to its parent, in each frame: (frames, 21), metres."""
     children = np.arange(1, JOINTS)
-    return np.linalg.norm(joints[:, children] - joints[:, list(PARENTS[1:])], axis=-1)
+    lengths: FloatArray = np.linalg.norm(joints[:, children] - joints[:, list(PARENTS[1:])], axis=-1)
+    return lengths

@@ -13,7 +13,9 @@ UNACCUSATIVE: Final = frozenset(
 STATIVE: Final = frozenset("look seem appear feel be remain become sound".split())
 
 TRAVEL: Final = frozenset("go come return get rise climb descend".split())
-TRANSFER: Final = frozenset("put place pick take give wipe hold lean kick throw stretch tie tap hand bring push shove".split())
+TRANSFER: Final = frozenset(
+    "put place pick take give wipe hold lean kick throw stretch tie tap hand bring push shove".split()
+)
 
 MANNER_NOUNS: Final = frozenset(
     "way manner fashion style mood speed pace energy joy pride confidence fatigue vigor spirit effort ease care force"
@@ -35,7 +37,9 @@ MANNER_PREPOSITIONS: Final = frozenset("with without like as by of via".split())
 
 TIME_NOUNS: Final = frozenset("second minute hour moment time while beginning end start once twice times".split())
 WAYS: Final = frozenset("way manner fashion style mood speed pace rage spirit".split())
-CIRCLE_NOUNS: Final = frozenset("circle line curve square arc zigzag triangle path loop pattern semicircle spiral".split())
+CIRCLE_NOUNS: Final = frozenset(
+    "circle line curve square arc zigzag triangle path loop pattern semicircle spiral".split()
+)
 SIDE_NOUNS: Final = frozenset("left right side front back direction clockwise counterclockwise forward".split())
 
 DIRECTION_ADVERBS: Final = frozenset(

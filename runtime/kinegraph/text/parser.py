@@ -71,7 +71,7 @@ def load_pipeline(data: bytes) -> Any:
         pipeline.add_pipe(name, config=COMPONENTS[name])
     try:
         return pipeline.from_bytes(data, exclude=["meta", "config", "config.cfg", "meta.json"])
-    except Exception as error:  # noqa: BLE001 - msgpack, thinc and spaCy share no base class
+    except Exception as error:
         raise BundleFormatError(f"parser.bin does not hold the parser's weights: {error}") from error
 
 

@@ -49,7 +49,7 @@ def words_below(token: Token) -> list[Token]:
     """The subtree of a token without clauses that are actions of their own and without coordinated verbs."""
     found = [token]
     for child in token.children:
-        if child.dep_ in CLAUSES or child.dep_ == "punct" and child.i == token.right_edge.i:
+        if child.dep_ in CLAUSES or (child.dep_ == "punct" and child.i == token.right_edge.i):
             continue
         if child.dep_ in ("conj", "cc") and (token.pos_ in ("VERB", "AUX") or _leads_to_action(child, token)):
             continue
@@ -139,13 +139,13 @@ def own_subject_span(head: Token) -> Span | None:
 
 
 def run_on(child: Token, head: Token) -> bool:
-    """"someone runs, then bows" is taken for "bows (that) someone runs"."""
+    """ "someone runs, then bows" is taken for "bows (that) someone runs"."""
     return child.dep_ == "ccomp" and child.i < head.i and is_action(child)
 
 
 def _argument(child: Token, head: Token) -> Iterator[tuple[str, Span | None]]:
     relation = child.dep_
-    if relation in SUBJECTS | PASSIVE_SUBJECTS or relation in SILENT and not _stray(child) or run_on(child, head):
+    if relation in SUBJECTS | PASSIVE_SUBJECTS or (relation in SILENT and not _stray(child)) or run_on(child, head):
         return
     if relation in ("dobj", "ccomp", "xcomp", "oprd", "acomp", "attr"):
         role = "ARG2" if relation in ("acomp", "attr", "oprd") and head.lemma_.lower() == "be" else "ARG1"
@@ -201,7 +201,9 @@ def endpoint_role(token: Token, head: Token) -> str | None:
     verb, word = head.lemma_.lower(), token.lower_
     if verb in words.TRAVEL and word in ("from", "to"):
         return "ARG3" if word == "from" else "ARG4"
-    return "ARG2" if verb in words.TRANSFER and word in ("to", "on", "onto", "in", "into", "from", "at", "with") else None
+    return (
+        "ARG2" if verb in words.TRANSFER and word in ("to", "on", "onto", "in", "into", "from", "at", "with") else None
+    )
 
 
 def prepositional_role(token: Token) -> str:

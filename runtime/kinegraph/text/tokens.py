@@ -39,7 +39,7 @@ class CaptionTokenizer:
             raise MissingExtraError("captions need the package tokenizers: pip install tokenizers") from error
         try:
             self._tokenizer = Tokenizer.from_str(tokenizer_json.decode("utf-8"))
-        except Exception as error:  # noqa: BLE001 - the Rust side raises bare Exception
+        except Exception as error:
             raise BundleFormatError(f"tokenizer.json is not a tokenizer: {error}") from error
         # the file may ask for both; captions are bounded elsewhere and a batch of one needs no padding
         self._tokenizer.no_truncation()

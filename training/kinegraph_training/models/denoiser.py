@@ -98,7 +98,9 @@ class Clock(nn.Module):
     def __init__(self, config: DenoiserConfig) -> None:
         super().__init__()
         self.width = config.width
-        self.time = nn.Sequential(nn.Linear(config.width, config.width), nn.SiLU(), nn.Linear(config.width, config.width))
+        self.time = nn.Sequential(
+            nn.Linear(config.width, config.width), nn.SiLU(), nn.Linear(config.width, config.width)
+        )
         self.length = nn.Sequential(
             nn.Linear(config.width, config.width), nn.SiLU(), nn.Linear(config.width, config.width)
         )
