@@ -38,7 +38,7 @@ class NoiseSchedule:
     def alphas_cumprod(self) -> NDArray[np.float64]:
         """alpha_bar, (train_steps,)."""
         betas = np.linspace(self.beta_start**0.5, self.beta_end**0.5, self.train_steps) ** 2
-        table: NDArray[np.float64] = np.cumprod(1.0 - betas)
+        table = np.cumprod(1.0 - betas).astype(np.float64, copy=False)
         table.setflags(write=False)
         return table
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import Final
 
 UNACCUSATIVE: Final = frozenset(
-    "turn stand rise stop fall stumble rotate spin move bend lean trip slip balance sway roll remain stay start begin end"
-    " finish happen collapse sit lie kneel slide".split()
+    "turn stand rise stop fall stumble rotate spin move bend lean trip slip balance sway roll remain stay start begin"
+    " end finish happen collapse sit lie kneel slide".split()
 )
 """Verbs whose subject undergoes the motion: it is ARG1 (PropBank), unless they take an object."""
 
@@ -19,8 +19,8 @@ TRANSFER: Final = frozenset(
 
 MANNER_NOUNS: Final = frozenset(
     "way manner fashion style mood speed pace energy joy pride confidence fatigue vigor spirit effort ease care force"
-    " rage anger hurry mannerism language attitude heart rhythm caution tempo step arm hand leg foot knee elbow head body"
-    " shoulder hip fist finger back posture stance speed gait strength power".split()
+    " rage anger hurry mannerism language attitude heart rhythm caution tempo step arm hand leg foot knee elbow head"
+    " body shoulder hip fist finger back posture stance speed gait strength power".split()
 )
 """Objects that make a prepositional phrase one of manner ("with energy", "with the right hand")."""
 
