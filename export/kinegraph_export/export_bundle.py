@@ -34,8 +34,8 @@ from kinegraph.manifest import (
     ScheduleSpec,
     SkeletonSpec,
     TextSpec,
+    describe_file,
     to_json,
-    with_files,
 )
 from kinegraph.motion.skeleton import JOINT_NAMES, PARENTS
 from kinegraph.onnx_ops import summarise
@@ -104,7 +104,7 @@ def manifest_of(
     """The manifest, all but the whole pipeline's parity."""
     config = trained.hierarchy.config
     graphs = {name: data for name, data in files.items() if name.endswith(".onnx")}
-    draft = Manifest(
+    return Manifest(
         format_version=FORMAT_VERSION,
         name=card.name,
         version=card.version,
@@ -126,13 +126,12 @@ def manifest_of(
         defaults=Defaults(card.steps, card.guidance, card.seconds),
         roles=ROLES,
         precision="fp32",
-        files={},
+        files={name: describe_file(data) for name, data in sorted(files.items())},
         operators={name: summarise(data, name).operators for name, data in sorted(graphs.items())},
         parity=parity,
         training=card.training,
         quality=card.quality,
     )
-    return with_files(draft, files)
 
 
 def write_bundle(folder: Path, manifest: Manifest, files: dict[str, bytes]) -> None:

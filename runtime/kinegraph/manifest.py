@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import hashlib
 import json
 import re
@@ -182,9 +181,3 @@ def decode_manifest(data: bytes) -> Manifest:
 def describe_file(data: bytes) -> FileSpec:
     """Entry of `files` for a file with this content."""
     return FileSpec(sha256=hashlib.sha256(data).hexdigest(), bytes=len(data))
-
-
-def with_files(manifest: Manifest, contents: Mapping[str, bytes]) -> Manifest:
-    """The manifest with the entries of `files` made from the contents."""
-    files = {name: describe_file(contents[name]) for name in sorted(contents)}
-    return dataclasses.replace(manifest, files=files)
