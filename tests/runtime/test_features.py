@@ -123,3 +123,10 @@ def test_bone_lengths_of_the_figure() -> None:
     assert lengths.shape == (10, 21)
     np.testing.assert_allclose(lengths[:, JOINT_INDEX["left_knee"] - 1], 0.40, atol=1e-5)
     np.testing.assert_allclose(lengths[:, JOINT_INDEX["right_wrist"] - 1], 0.25, atol=1e-5)
+
+
+def test_a_group_that_never_changes_is_normalised_to_zero() -> None:
+    still = features_from_joints(t_pose(20))
+    mean, std = normalisation([still])
+    assert (std > 0).all()
+    np.testing.assert_allclose((still - mean) / std, 0.0, atol=1e-3)

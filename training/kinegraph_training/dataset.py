@@ -28,18 +28,21 @@ class Dataset:
 def training_clips(folder: Path, config: DataConfig, held_out: Path | None, seed: int) -> list[MotionClip]:
     """Recorded clips of the `train` split and made compositions, each also mirrored.
 
+    Compositions need the action's label in index.jsonl: clips without one (a user's own) are trained on as they are.
+
     Raises:
         InvalidInputError: compositions are asked for without the list of pairs to hold out.
     """
     clips = [clip for clip in read_split(folder, "train") if len(clip.joints) >= config.min_frames]
-    if config.splices or config.sequences:
+    labelled = [clip for clip in clips if clip.content]
+    if labelled and (config.splices or config.sequences):
         if held_out is None:
             raise InvalidInputError(
                 "splices and sequences need --held-out FILE (pairs never to be made); or set both to 0 in [data]"
             )
         held = HeldOut.read(held_out)
-        made = make_splices(clips, config.splices, held, seed)
-        made += make_sequences(clips, config.sequences, held, seed + 1, config.max_frames)
+        made = make_splices(labelled, config.splices, held, seed)
+        made += make_sequences(labelled, config.sequences, held, seed + 1, config.max_frames)
         clips = clips + made
     return clips + [mirrored_clip(clip) for clip in clips]
 

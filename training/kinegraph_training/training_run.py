@@ -49,33 +49,59 @@ def optimiser(module: nn.Module, config: OptimiserConfig) -> dict[str, Any]:
 
 
 class Curves(L.Callback):
-    """Draws metrics.csv as curves.png after each validation."""
+    """Joins the tables of all starts of a run into metrics.csv and draws it as curves.png, after each validation."""
 
     def on_validation_end(self, trainer: L.Trainer, pl_module: L.LightningModule) -> None:
-        if trainer.sanity_checking or not isinstance(trainer.logger, CSVLogger):
+        if trainer.sanity_checking or not trainer.is_global_zero or not isinstance(trainer.logger, CSVLogger):
             return
         trainer.logger.save()
-        draw_curves(Path(trainer.logger.log_dir) / "metrics.csv")
+        folder = Path(trainer.logger.root_dir)
+        rows = joined_tables(sorted(folder.glob("start_*/metrics.csv")))
+        write_table(folder / "metrics.csv", rows)
+        draw_curves(folder / "curves.png", rows)
 
 
-def draw_curves(table: Path) -> None:
-    """One panel per metric over steps, beside the table."""
-    if not table.is_file():
-        return
+Row = dict[str, str]
+
+
+def joined_tables(tables: list[Path]) -> list[Row]:
+    """Rows of one run that was started several times: what a later start did again replaces what was there."""
+    rows: list[Row] = []
+    for table in tables:
+        with table.open(newline="") as file:
+            own = list(csv.DictReader(file))
+        if own:
+            first = int(own[0]["step"])
+            rows = [row for row in rows if int(row["step"]) < first] + own
+    return rows
+
+
+def write_table(path: Path, rows: list[Row]) -> None:
+    """A CSV with a column for every metric that any row has."""
+    names = list(dict.fromkeys(name for row in rows for name in row))
+    with path.open("w", newline="") as file:
+        writer = csv.DictWriter(file, names, restval="")
+        writer.writeheader()
+        writer.writerows(rows)
+
+
+def draw_curves(path: Path, rows: list[Row]) -> None:
+    """One panel per metric over steps."""
     import matplotlib
 
     matplotlib.use("Agg")
     from matplotlib import pyplot
 
     series: dict[str, list[tuple[int, float]]] = defaultdict(list)
-    with table.open(newline="") as file:
-        for row in csv.DictReader(file):
-            for name, value in row.items():
-                if name not in ("step", "epoch") and value:
-                    series[name].append((int(row["step"]), float(value)))
+    for row in rows:
+        for name, value in row.items():
+            if name not in ("step", "epoch") and value:
+                series[name].append((int(row["step"]), float(value)))
     names = sorted(series)
-    rows = -(-len(names) // 4)
-    figure, axes = pyplot.subplots(rows, 4, figsize=(16, 3 * rows), squeeze=False)
+    if not names:
+        return
+    lines = -(-len(names) // 4)
+    figure, axes = pyplot.subplots(lines, 4, figsize=(16, 3 * lines), squeeze=False)
     for axis, name in zip(axes.flat, names, strict=False):
         axis.plot(*zip(*series[name], strict=True), linewidth=1)
         axis.set_title(name, fontsize=9)
@@ -84,13 +110,15 @@ def draw_curves(table: Path) -> None:
     for axis in axes.flat[len(names) :]:
         axis.axis("off")
     figure.tight_layout()
-    figure.savefig(table.with_name("curves.png"), dpi=70)
+    figure.savefig(path, dpi=70)
     pyplot.close(figure)
 
 
 def trainer(run: Path, config: OptimiserConfig, *, validate_every: int, lightning: dict[str, Any]) -> L.Trainer:
     """A Lightning trainer that resumes from `run/last.ckpt`; `lightning` are its own flags (devices, strategy ...)."""
-    logger = CSVLogger(run, name="curves", version="")
+    # Lightning empties the folder of a table it opens, so each start gets its own
+    starts = len(list((run / "curves").glob("start_*")))
+    logger = CSVLogger(run, name="curves", version=f"start_{starts:03d}")
     checkpoint = ModelCheckpoint(dirpath=run, save_last=True, save_top_k=0, every_n_train_steps=validate_every)
     options: dict[str, Any] = {
         "accelerator": "auto",

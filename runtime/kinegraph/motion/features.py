@@ -107,11 +107,15 @@ def joints_from_features(features: FloatArray, *, heading: float = 0.0) -> Float
 
 
 def normalisation(clips: list[FloatArray]) -> tuple[FloatArray, FloatArray]:
-    """Mean per feature and standard deviation per group over clips of (frames, 137); both (137,)."""
+    """Mean per feature and standard deviation per group over clips of (frames, 137); both (137,).
+
+    A group that never changes (feet that never lift) gets 1, so that its normalised features are 0 and not NaN.
+    """
     rows = np.concatenate(clips).astype(np.float64)
     mean = rows.mean(axis=0)
     variance = rows.var(axis=0)
     std = np.empty(WIDTH)
     for group in GROUPS:
-        std[group] = np.sqrt(variance[group].mean())
+        deviation = np.sqrt(variance[group].mean())
+        std[group] = deviation if deviation > 1e-6 else 1.0
     return mean.astype(np.float32), std.astype(np.float32)

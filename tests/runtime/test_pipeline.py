@@ -1,0 +1,162 @@
+"""The default bundle from sentence to clip, by what its user can see."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import threading
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import kinegraph
+from kinegraph import MotionPipeline
+from kinegraph.diffusion.sampler import StepInfo
+from kinegraph.errors import Cancelled, InvalidInputError
+
+RUNTIME = Path(kinegraph.__file__).resolve().parents[1]
+BUNDLE = RUNTIME / "kinegraph" / "bundles" / "default"
+pytestmark = pytest.mark.skipif(not (BUNDLE / "manifest.json").is_file(), reason="no default bundle")
+pytest.importorskip("spacy")
+
+FEW = {"motion": 2, "action": 2, "specific": 3}
+
+
+@pytest.fixture(scope="module")
+def pipe() -> MotionPipeline:
+    return MotionPipeline.load(threads=1)
+
+
+def test_the_same_seed_gives_the_same_bits(pipe: MotionPipeline) -> None:
+    first = pipe.generate("a person walks forward", seconds=2, seed=7, steps=FEW)
+    again = pipe.generate("a person walks forward", seconds=2, seed=7, steps=FEW)
+    other = MotionPipeline.load(threads=1).generate("a person walks forward", seconds=2, seed=7, steps=FEW)
+    assert first.joints.tobytes() == again.joints.tobytes() == other.joints.tobytes()
+
+
+def test_another_seed_or_sentence_gives_another_clip(pipe: MotionPipeline) -> None:
+    clips = [
+        pipe.generate(text, seconds=2, seed=seed, steps=FEW).joints
+        for text, seed in (("a person walks", 1), ("a person walks", 2), ("a person waves both hands", 1))
+    ]
+    assert not np.allclose(clips[0], clips[1], atol=1e-3)
+    assert not np.allclose(clips[0], clips[2], atol=1e-3)
+
+
+def test_a_drawn_seed_repeats_its_clip(pipe: MotionPipeline) -> None:
+    drawn = pipe.generate("a person runs", seconds=1, steps=FEW)
+    assert pipe.generate("a person runs", seconds=1, seed=drawn.seed, steps=FEW) == drawn
+
+
+@pytest.mark.parametrize("seconds", [0.8, 1.05, 3.0, 9.8])
+def test_the_clip_is_as_long_as_wished(pipe: MotionPipeline, seconds: float) -> None:
+    clip = pipe.generate("someone turns left", seconds=seconds, seed=1, steps=FEW)
+    assert clip.joints.shape == (round(seconds * 20), 22, 3)
+    assert clip.joints.dtype == np.float32 and np.isfinite(clip.joints).all()
+
+
+def test_a_graph_is_as_good_as_its_sentence(pipe: MotionPipeline) -> None:
+    text = "a person walks slowly to the left"
+    said = pipe.generate(text, seconds=1, seed=3, steps=FEW)
+    assert pipe.generate(pipe.parse(text), seconds=1, seed=3, steps=FEW) == said
+
+
+def test_progress_tells_every_step_and_any_step_can_stop(pipe: MotionPipeline) -> None:
+    seen: list[StepInfo] = []
+    pipe.generate("a person bows", seconds=1, seed=1, steps=FEW, on_step=lambda info: bool(seen.append(info)) or True)
+    assert len(seen) == sum(FEW.values())
+    for stop in range(len(seen)):
+        calls: list[StepInfo] = []
+
+        def step(info: StepInfo, calls: list[StepInfo] = calls, stop: int = stop) -> bool:
+            calls.append(info)
+            return len(calls) <= stop
+
+        with pytest.raises(Cancelled):
+            pipe.generate("a person bows", seconds=1, seed=1, steps=FEW, on_step=step)
+        assert calls == seen[: stop + 1]
+
+
+def test_threads_share_a_pipeline(pipe: MotionPipeline) -> None:
+    expected = {seed: pipe.generate("a person waves", seconds=1, seed=seed, steps=FEW) for seed in range(4)}
+    found = {}
+
+    def make(seed: int) -> None:
+        found[seed] = pipe.generate("a person waves", seconds=1, seed=seed, steps=FEW)
+
+    workers = [threading.Thread(target=make, args=(seed,)) for seed in expected]
+    for worker in workers:
+        worker.start()
+    for worker in workers:
+        worker.join()
+    assert found == expected
+
+
+@pytest.mark.parametrize(
+    ("text", "options"),
+    [
+        ("", {}),
+        (" \n\t", {}),
+        ("walk " * 2000, {}),
+        ("…!?", {}),
+        ("a person walks", {"seconds": float("nan")}),
+        ("a person walks", {"seconds": -1}),
+        ("a person walks", {"seconds": 1e9}),
+        ("a person walks", {"seed": -1}),
+        ("a person walks", {"steps": 0}),
+        ("a person walks", {"guidance": float("inf")}),
+    ],
+)
+def test_bad_input_is_refused_before_a_model_runs(
+    pipe: MotionPipeline, monkeypatch: pytest.MonkeyPatch, text: str, options: dict[str, float]
+) -> None:
+    def never(*_: object) -> None:
+        raise AssertionError("a model ran")
+
+    monkeypatch.setattr(pipe, "_arrays", never)
+    with pytest.raises(InvalidInputError):
+        pipe.generate(text, **options)  # type: ignore[arg-type]
+
+
+def test_the_guidance_matters_and_one_is_the_conditional_alone(pipe: MotionPipeline) -> None:
+    strict, loose = (
+        pipe.generate("a person turns right", seconds=1, seed=5, steps=FEW, guidance=scale).joints for scale in (1, 4)
+    )
+    assert not np.allclose(strict, loose, atol=1e-4)
+
+
+def test_the_first_clip_loads_nothing_heavy_and_asks_no_network(tmp_path: Path) -> None:
+    code = """
+import json, sys
+def forbid(event, arguments):
+    if event.startswith(("socket.connect", "socket.getaddrinfo", "urllib.")):
+        raise RuntimeError(event)
+sys.addaudithook(forbid)
+from kinegraph.cli import main
+assert main(["generate", "a person walks", "-o", sys.argv[1], "--quiet", "--steps", "2"]) == 0
+heavy = {"torch", "onnx", "matplotlib", "transformers", "safetensors", "lightning", "scipy", "kinegraph_training"}
+print(json.dumps(sorted(heavy & set(sys.modules))))
+"""
+    environment = {**os.environ, "PYTHONPATH": str(RUNTIME)}
+    target = tmp_path / "walk.npz"
+    done = subprocess.run(
+        [sys.executable, "-c", code, str(target)],
+        env=environment,
+        capture_output=True,
+        text=True,
+        timeout=120,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    assert json.loads(done.stdout) == []
+    assert target.is_file()
+
+
+def test_info_prints_the_licences(pipe: MotionPipeline) -> None:
+    licence = pipe.manifest.licence
+    assert "CC BY-NC 4.0" in licence.weights and licence.code == "Apache-2.0"
+    assert "Apache-2.0" in licence.text_encoder and "MIT" in licence.parser
+    assert sum(entry.bytes for entry in pipe.manifest.files.values()) <= 64_000_000

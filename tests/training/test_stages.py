@@ -1,0 +1,131 @@
+"""The whole path at the size of a toy: data -> three autoencoders -> denoisers -> bundle -> clip."""
+
+from __future__ import annotations
+
+import csv
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+torch = pytest.importorskip("torch")
+pytest.importorskip("lightning")
+pytest.importorskip("onnxscript")
+pytest.importorskip("spacy")
+
+from motions import walk  # noqa: E402
+
+import kinegraph  # noqa: E402
+from kinegraph import MotionPipeline  # noqa: E402
+from kinegraph.errors import BundleError, InvalidInputError  # noqa: E402
+from kinegraph_export.export_bundle import Card, export_bundle  # noqa: E402
+from kinegraph_training import train_denoisers, train_vae  # noqa: E402
+from kinegraph_training.data_writer import PreparedClip, write_data  # noqa: E402
+
+ASSETS = Path(kinegraph.__file__).parent / "bundles" / "default"
+pytestmark = [
+    pytest.mark.skipif(not (ASSETS / "parser.bin").is_file(), reason="no default bundle to take the text files from"),
+    pytest.mark.timeout(600),
+]
+
+CARD = Card(
+    name="toy",
+    version="0",
+    licence=dict.fromkeys(("code", "weights", "data", "text_encoder", "parser"), "public domain"),
+    training_data="made by the tests",
+    training={"preset": "tiny"},
+    steps={"motion": 2, "action": 2, "specific": 3},
+    guidance={"motion": 2.0, "action": 2.0, "specific": 2.0},
+    seconds=2.0,
+    quality={},
+)
+
+
+def write_walks(folder: Path) -> None:
+    """Sixteen clips of a stick figure; their captions name the side they turn to."""
+    clips = []
+    for number in range(16):
+        side = "left" if number % 2 else "right"
+        turning = 0.02 if number % 2 else -0.02
+        joints = walk(40 + 4 * number, turning=turning, speed=0.03 + 0.002 * number)
+        split = "val" if number in (4, 5) else "train"
+        clips.append(PreparedClip(f"walk{number}", joints, (f"a person walks to the {side}",), "made", split))
+    write_data(folder, clips, 20)
+
+
+def stage(module: object, folder: Path, *more: str) -> None:
+    words = ["--data", str(folder / "data"), "--run", str(folder / "run"), "--preset", "tiny", "--threads", "1"]
+    flags = ["--enable_progress_bar", "0", "--accelerator", "cpu"]
+    module.main([*words, *more, *flags])  # type: ignore[attr-defined]
+
+
+def steps_of(checkpoint: Path) -> int:
+    return int(torch.load(checkpoint, weights_only=True, map_location="cpu")["global_step"])
+
+
+@pytest.fixture(scope="module")
+def trained(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("toy")
+    write_walks(folder / "data")
+    for level in ("motion", "action", "specific"):
+        stage(train_vae, folder, "--level", level)
+    # stopped half-way, as a kill would, and started again by the same command
+    stage(train_denoisers, folder, "--assets", str(ASSETS), "--max_steps", "3", "--val_check_interval", "3")
+    assert steps_of(folder / "run" / "denoisers" / "last.ckpt") == 3
+    stage(train_denoisers, folder, "--assets", str(ASSETS))
+    return folder
+
+
+def test_a_stopped_run_goes_on_to_its_last_step(trained: Path) -> None:
+    for name in ("vae_motion", "vae_action", "vae_specific", "denoisers"):
+        assert steps_of(trained / "run" / name / "last.ckpt") == 6
+
+
+def test_curves_are_kept_as_a_table_and_a_picture(trained: Path) -> None:
+    for name in ("vae_specific", "denoisers"):
+        curves = trained / "run" / name / "curves"
+        with (curves / "metrics.csv").open(newline="") as file:
+            rows = list(csv.DictReader(file))
+        values = [float(row[key]) for row in rows for key in row if key.startswith("val/") and row[key]]
+        assert values and np.isfinite(values).all()
+        # what came before the stop is still there
+        assert [int(row["step"]) for row in rows] == sorted(int(row["step"]) for row in rows)
+        assert name != "denoisers" or {2, 5} <= {int(row["step"]) for row in rows}
+        assert (curves / "curves.png").read_bytes()[:4] == b"\x89PNG"
+
+
+@pytest.fixture(scope="module")
+def bundle(trained: Path) -> Path:
+    export_bundle(trained / "run", ASSETS, CARD, trained / "bundle")
+    return trained / "bundle"
+
+
+def test_the_bundle_makes_a_clip_and_states_its_parity(bundle: Path) -> None:
+    pipe = MotionPipeline.load(bundle, threads=1)
+    clip = pipe.generate("a person walks to the left", seed=1)
+    assert clip.joints.shape == (40, 22, 3) and np.isfinite(clip.joints).all()
+    parity = pipe.manifest.parity
+    assert parity["pipeline_mm"] <= 1.0
+    graphs = {name.removesuffix(".onnx") for name in pipe.manifest.files if name.endswith(".onnx")} - {"text_encoder"}
+    assert graphs <= set(parity) and max(parity[name] for name in graphs) <= 1e-4
+
+
+def test_the_same_run_gives_the_same_bundle(trained: Path, bundle: Path) -> None:
+    export_bundle(trained / "run", ASSETS, CARD, trained / "again")
+    first, again = (json.loads((folder / "manifest.json").read_bytes()) for folder in (bundle, trained / "again"))
+    assert first["files"] == again["files"]
+
+
+def test_other_folders_are_not_overwritten(trained: Path) -> None:
+    mine = trained / "mine"
+    mine.mkdir()
+    (mine / "thesis.txt").write_text("four years")
+    with pytest.raises(kinegraph.KinegraphError, match="not a bundle"):
+        export_bundle(trained / "run", ASSETS, CARD, mine)
+    assert (mine / "thesis.txt").read_text() == "four years"
+
+
+def test_a_missing_stage_is_named(tmp_path: Path) -> None:
+    with pytest.raises((InvalidInputError, BundleError), match="train that stage first"):
+        export_bundle(tmp_path, ASSETS, CARD, tmp_path / "bundle")
