@@ -1,0 +1,124 @@
+"""Predicates and measures on motions made so that the answer is known."""
+
+from __future__ import annotations
+
+import measures
+import numpy as np
+import predicates as p
+import pytest
+from behaviours import BEHAVIOURS, CONTENTS
+from motions import posed, t_pose, turn, walk
+
+from kinegraph.motion.skeleton import JOINT_INDEX, bone_lengths, mirrored
+
+
+def gesture(left: float, right: float, frames: int = 40, swing: float = 0.0) -> np.ndarray:
+    """Stands; the arms end `left` and `right` radians above the horizontal and swing by `swing` around that."""
+    rows = []
+    for frame in range(frames):
+        part = min(1.0, 2 * frame / frames)
+        sway = swing * np.sin(frame)
+        up = {16: turn("z", part * left + sway * (left > 0)), 17: turn("z", -part * right - sway * (right > 0))}
+        rows.append(posed(np.array([0.0, 0.95, 0.0]), up))
+    return np.stack(rows).astype(np.float32)
+
+
+DOWN, UP = -1.4, 1.2
+
+
+@pytest.mark.parametrize(("side", "other"), [("left", "right"), ("right", "left")])
+def test_a_raised_hand_is_told_from_the_other(side: str, other: str) -> None:
+    joints = gesture(UP, DOWN) if side == "left" else gesture(DOWN, UP)
+    assert p.raises(side)(joints)
+    assert not p.raises(other)(joints)
+    assert not p.raises("both")(joints)
+
+
+def test_both_hands_are_neither_the_left_nor_the_right() -> None:
+    joints = gesture(UP, UP)
+    assert p.raises("both")(joints)
+    assert not p.raises("left")(joints)
+    assert not p.raises("right")(joints)
+
+
+def test_waving_needs_the_wrist_to_travel_and_the_body_to_stay() -> None:
+    joints = gesture(UP, DOWN, swing=0.4)
+    assert p.waves("left")(joints)
+    assert not p.waves("right")(joints)
+    assert not p.waves("left")(t_pose(40))
+    carried = joints + np.linspace(0, 2, len(joints))[:, None, None] * np.array([0.0, 0.0, 1.0])
+    assert not p.waves("left")(carried.astype(np.float32))
+    assert p.waves("both")(gesture(UP, UP, swing=0.4))
+
+
+def test_displacement_is_measured_from_the_first_facing() -> None:
+    # The same walk, begun in another heading, is still a walk forward.
+    for heading in (0.0, 0.7, -2.0):
+        left, forward = p.displacement(walk(41, heading=heading))
+        assert forward == pytest.approx(2.0, abs=0.02)
+        assert left == pytest.approx(0.0, abs=0.05)
+    assert p.goes(1, 1, 0.5)(walk(41))
+    assert not p.goes(1, 1, 0.5)(walk(41, speed=-0.05))
+    assert p.goes(1, -1, 0.3)(walk(41, speed=-0.05))
+
+
+def test_sideways_is_left_at_plus_x() -> None:
+    slide = t_pose(21) + np.linspace(0, 1, 21)[:, None, None] * np.array([1.0, 0.0, 0.0])
+    assert p.goes(0, 1, 0.3)(slide)
+    assert not p.goes(0, -1, 0.3)(slide)
+
+
+def test_turns_have_a_side_and_a_mirror() -> None:
+    pivot = np.stack([posed(np.zeros(3), {0: turn("y", angle)}) for angle in np.linspace(0, 4.0, 60)])
+    assert p.net_turn(pivot.astype(np.float32)) == pytest.approx(np.degrees(4.0), abs=1e-3)
+    joints = walk(61, turning=np.radians(80) / 60)
+    assert p.turns("left")(joints)
+    assert not p.turns("right")(joints)
+    assert p.turns("right")(mirrored(joints))
+    assert not p.turns("left")(walk(61, turning=np.radians(30) / 60))
+
+
+def test_speed_is_metres_per_second() -> None:
+    assert p.speed(walk(30, speed=0.06)) == pytest.approx(1.2, rel=1e-4)
+    assert p.slower(1.3)(walk(30, speed=0.06))
+    assert p.faster(1.1)(walk(30, speed=0.06))
+
+
+def test_a_bow_lowers_the_head() -> None:
+    bend = np.stack([posed(np.zeros(3), {0: turn("x", angle)}) for angle in np.linspace(0, 1.0, 20)])
+    assert p.bows(bend)
+    assert not p.bows(t_pose(20))
+
+
+def test_standing_still_is_no_behaviour_that_moves() -> None:
+    still = t_pose(60)
+    holding = {behaviour.name for behaviour in BEHAVIOURS if behaviour.holds(still)}
+    # The T-pose has its wrists far apart and that is all it has.
+    assert holding == {"opens the arms wide, youthful"}
+
+
+def test_no_two_contents_share_a_prompt() -> None:
+    prompts = [prompt for behaviour in CONTENTS for prompt in behaviour.prompts]
+    assert len(prompts) == len(set(prompts))
+
+
+def test_jerk_of_a_cubic_is_its_third_derivative() -> None:
+    seconds = np.arange(30) / 20
+    joints = np.zeros((30, 22, 3))
+    joints[..., 0] = (seconds**3)[:, None]
+    assert measures.jerk(joints) == pytest.approx(6.0, rel=1e-6)
+
+
+def test_skating_counts_toes_on_the_floor_only() -> None:
+    sliding = t_pose(21) + np.linspace(0, 1, 21)[:, None, None] * np.array([0.0, 0.0, 1.0])
+    assert measures.foot_skate(sliding) == pytest.approx(1.0, rel=1e-4)
+    flying = sliding + np.array([0.0, 0.3, 0.0])
+    assert np.isnan(measures.foot_skate(flying))
+
+
+def test_bone_error_is_in_millimetres() -> None:
+    joints = t_pose(3)
+    lengths = bone_lengths(joints).mean(0)
+    assert measures.bone_error(joints, lengths) == pytest.approx(0.0, abs=1e-4)
+    joints[:, JOINT_INDEX["head"], 1] += 0.021
+    assert 0.5 < measures.bone_error(joints, lengths) < 1.05
