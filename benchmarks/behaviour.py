@@ -71,7 +71,8 @@ def measure(
         "captured_rate": real_rate,
         "generated_clips": len(made),
         "generated_rate": rate,
-        "ratio": rate / real_rate if real_rate else None,
+        # At most 1: being better than the captured clips at one class makes up for no other.
+        "ratio": min(rate / real_rate, 1.0) if real_rate else None,
         "captured": cleanliness([clip.joints for clip in real], lengths),
         "generated": cleanliness([joints for _, _, joints in made], lengths),
         "failed": [

@@ -7,6 +7,9 @@ from typing import Final
 MAX_TEXT: Final = 512
 """Characters of a caption."""
 
+MAX_PIECES: Final = 512
+"""Word pieces of a caption, the two special ones included: the positions that the text encoder has learnt."""
+
 MAX_NODES: Final = 32
 """Nodes of one semantic graph, the motion node included."""
 

@@ -9,6 +9,7 @@ from kinegraph.graph import Action, Argument, SemanticGraph
 from kinegraph.limits import MAX_NODES, MAX_TEXT
 from kinegraph.text import lexicon
 from kinegraph.text.rules import CONTENT, Frame, Span, frame, is_action, trimmed
+from kinegraph.text.tokens import check_unicode
 
 PIPES: Final[tuple[str, ...]] = ("tok2vec", "tagger", "parser", "attribute_ruler", "lemmatizer")
 
@@ -105,13 +106,14 @@ def check_caption(caption: object) -> None:
         raise InvalidInputError(f"a caption is a text, not {type(caption).__name__}")
     if len(caption) > MAX_TEXT:
         raise InvalidInputError(f"a caption may have {MAX_TEXT} characters, this one has {len(caption)}; shorten it")
+    check_unicode(caption)
     if not any(char.isalnum() for char in caption):
         shown = "empty" if not caption.strip() else f"{caption[:40]!r}, without a letter or digit"
         raise InvalidInputError(f"the caption is {shown}; describe a motion, such as 'a person walks forward'")
 
 
 def clean(caption: str) -> str:
-    """Same length, so that offsets hold: white space, control characters and lone surrogates become blanks."""
+    """Same length, so that offsets hold: white space and control characters become blanks."""
     return "".join(char if char.isprintable() else " " for char in caption)
 
 

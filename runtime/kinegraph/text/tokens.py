@@ -7,7 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from kinegraph.errors import BundleFormatError, MissingExtraError
+from kinegraph.errors import BundleFormatError, InvalidInputError, MissingExtraError
+from kinegraph.limits import MAX_PIECES
 
 IntArray = NDArray[np.int64]
 
@@ -46,13 +47,32 @@ class CaptionTokenizer:
         self._tokenizer.no_padding()
 
     def encode(self, text: str) -> TokenIds:
-        """Pieces of a caption; T is at least 2."""
+        """Pieces of a caption; T is at least 2.
+
+        Raises:
+            InvalidInputError: half a surrogate pair, or more pieces than the text encoder has positions.
+        """
+        check_unicode(text)
         encoding = self._tokenizer.encode(text)
+        if len(encoding.ids) > MAX_PIECES:
+            # Cut off silently, the end of the sentence would not be obeyed.
+            raise InvalidInputError(
+                f"the caption makes {len(encoding.ids)} word pieces, at most {MAX_PIECES} fit; shorten it"
+            )
         return TokenIds(
             ids=np.array(encoding.ids, dtype=np.int64),
             mask=np.ones(len(encoding.ids), dtype=np.int64),
             offsets=np.array(encoding.offsets, dtype=np.int64).reshape(-1, 2),
         )
+
+
+def check_unicode(text: str) -> None:
+    """Refuse half a surrogate pair, which no UTF-8 holds: what is left of bytes that were not text."""
+    try:
+        text.encode("utf-8")
+    except UnicodeEncodeError as error:
+        shown = ascii(text[error.start])
+        raise InvalidInputError(f"character {error.start + 1} of the caption is {shown}, which is no text") from None
 
 
 def span_mask(offsets: IntArray, start: int, end: int) -> NDArray[np.bool_]:
