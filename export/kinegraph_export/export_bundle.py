@@ -104,6 +104,7 @@ def manifest_of(
     """The manifest, all but the whole pipeline's parity."""
     config = trained.hierarchy.config
     graphs = {name: data for name, data in files.items() if name.endswith(".onnx")}
+    operators = {name: summarise(data, name).operators for name, data in sorted(graphs.items())}
     return Manifest(
         format_version=FORMAT_VERSION,
         name=card.name,
@@ -113,6 +114,7 @@ def manifest_of(
             "training_data": card.training_data,
             "text_encoder": f"sentence-transformers/all-MiniLM-L6-v2 from {MINILM}",
             "parser": f"en_core_web_sm from {SPACY_MODEL}",
+            "numbers": numbers(operators),
             "built_with": f"kinegraph {kinegraph.__version__}, torch {torch.__version__}, "
             f"onnxruntime {onnxruntime.__version__}, Python {platform.python_version()}",
         },
@@ -127,10 +129,18 @@ def manifest_of(
         roles=ROLES,
         precision="fp32",
         files={name: describe_file(data) for name, data in sorted(files.items())},
-        operators={name: summarise(data, name).operators for name, data in sorted(graphs.items())},
+        operators=operators,
         parity=parity,
         training=card.training,
         quality=card.quality,
+    )
+
+
+def numbers(operators: dict[str, tuple[str, ...]]) -> str:
+    """How weights are stored and computed with, for a person to read."""
+    blocks = "com.microsoft::MatMulNBits" in operators["text_encoder.onnx"]
+    return "all networks: float32 arithmetic on weights stored as float16; text encoder: " + (
+        "weights in int8 blocks" if blocks else "float32 throughout"
     )
 
 

