@@ -1,0 +1,130 @@
+"""The denoisers: what is split off for speed must not change what is computed."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+torch = pytest.importorskip("torch")
+
+from kinegraph.contract import NULL_KIND, PADDING_BIAS  # noqa: E402
+from kinegraph_export.modules import StepGraph, tables  # noqa: E402
+from kinegraph_training.models.denoiser import (  # noqa: E402
+    CrossAttention,
+    Denoiser,
+    DenoiserConfig,
+    LatentShape,
+    Mixing,
+)
+
+CONFIG = DenoiserConfig(width=16, layers=3, heads=2, feed_forward=32, text_width=12, max_frames=40, train_steps=50)
+LATENT, COARSE = LatentShape(4, 6), LatentShape(2, 5)
+
+
+@pytest.fixture
+def denoiser() -> Denoiser:
+    torch.manual_seed(1)
+    return Denoiser(CONFIG, LATENT, COARSE).eval()
+
+
+def inputs(rows: int = 3, nodes: int = 5) -> dict[str, torch.Tensor]:
+    generator = torch.Generator().manual_seed(rows)
+    return {
+        "latent": torch.randn(rows, 4, 6, generator=generator),
+        "nodes": torch.randn(rows, nodes, 12, generator=generator),
+        "kind": torch.randint(0, 3, (rows, nodes), generator=generator),
+        "order": torch.randint(0, 4, (rows, nodes), generator=generator),
+        "coarse": torch.randn(rows, 2, 5, generator=generator),
+        "bias": torch.randn(rows, nodes + 2, generator=generator),
+    }
+
+
+@torch.no_grad()
+def noise(denoiser: Denoiser, step: int = 7, frames: int = 20, **parts: torch.Tensor) -> torch.Tensor:
+    """As training calls it."""
+    rows = len(parts["latent"])
+    context = denoiser.context(parts["nodes"], parts["kind"], parts["order"], parts["coarse"])
+    temb = denoiser.clock(torch.full((rows,), step), torch.full((rows,), frames))
+    return denoiser.step(parts["latent"], temb, context, parts["bias"][:, None, None, :])
+
+
+@torch.no_grad()
+def test_the_exported_form_of_a_step_is_the_trained_one(denoiser: Denoiser) -> None:
+    # Tables in place of the clock, an identity mixing, one bias per latent token: what the runtime feeds.
+    parts = inputs()
+    context = denoiser.context(parts["nodes"], parts["kind"], parts["order"], parts["coarse"])
+    time, length = tables(denoiser.clock, CONFIG.train_steps, CONFIG.max_frames)
+    temb = (time[7] + length[20]).expand(3, 1, -1)
+    bias = parts["bias"][:, None, None, :].expand(-1, -1, 4, -1)
+    flat = [part for pair in context for part in pair]
+    found = StepGraph(denoiser.step)(parts["latent"], temb, flat, torch.arange(3), torch.eye(3), bias)
+    torch.testing.assert_close(found, noise(denoiser, **parts), atol=1e-5, rtol=0)
+
+
+@torch.no_grad()
+def test_cross_attention_is_the_softmax_written_out(denoiser: Denoiser) -> None:
+    module = CrossAttention(8, 2).eval()
+    generator = torch.Generator().manual_seed(0)
+    x, bias = torch.randn(2, 3, 8, generator=generator), torch.randn(2, 1, 1, 5, generator=generator)
+    key, value = torch.randn(2, 2, 2, 5, 4, generator=generator)
+    expected = torch.zeros(2, 3, 8)
+    for row in range(2):
+        query = module.query(x[row])
+        for head in range(2):
+            for token in range(3):
+                scores = [
+                    float(query[token, 4 * head : 4 * head + 4] @ key[row, head, s]) / math.sqrt(4)
+                    + float(bias[row, 0, 0, s])
+                    for s in range(5)
+                ]
+                share = np.exp(scores) / np.exp(scores).sum()
+                mean = sum(float(w) * value[row, head, s] for s, w in enumerate(share))
+                expected[row, token, 4 * head : 4 * head + 4] = mean
+    torch.testing.assert_close(module(x, key, value, bias, None), module.out(expected), atol=1e-5, rtol=0)
+
+
+@torch.no_grad()
+def test_mixing_sums_attention_rows_before_the_output(denoiser: Denoiser) -> None:
+    # Two concepts attend from one latent row; EnergyMoGen's Eq. 9 mixes what they attend to.
+    module = CrossAttention(8, 2).eval()
+    x, bias = torch.randn(1, 3, 8), torch.zeros(2, 1, 1, 5)
+    key, value = torch.randn(2, 2, 2, 5, 4)
+    mixed = module(x, key, value, bias, Mixing(torch.tensor([0, 0]), torch.tensor([[0.7, 0.3]])))
+    single = [module(x, key[i : i + 1], value[i : i + 1], bias[i : i + 1], None) for i in range(2)]
+    torch.testing.assert_close(mixed, 0.7 * single[0] + 0.3 * single[1], atol=1e-5, rtol=0)
+
+
+def test_masked_nodes_have_no_influence(denoiser: Denoiser) -> None:
+    parts = inputs()
+    parts["bias"][:, 3] = PADDING_BIAS
+    other = {**parts, "nodes": parts["nodes"].clone()}
+    other["nodes"][:, 3] = 100.0
+    assert torch.equal(noise(denoiser, **parts), noise(denoiser, **other))
+
+
+def test_the_null_token_does_not_read_its_node(denoiser: Denoiser) -> None:
+    parts = inputs()
+    parts["kind"] = torch.full_like(parts["kind"], NULL_KIND)
+    other = {**parts, "nodes": parts["nodes"] + 1.0, "order": parts["order"] + 1}
+    assert torch.equal(noise(denoiser, **parts), noise(denoiser, **other))
+    seen = {**parts, "kind": torch.zeros_like(parts["kind"])}
+    assert not torch.allclose(noise(denoiser, **parts), noise(denoiser, **seen), atol=1e-4)
+
+
+@pytest.mark.parametrize("changed", ["nodes", "order", "coarse", "step", "frames"])
+def test_every_condition_matters(denoiser: Denoiser, changed: str) -> None:
+    parts = inputs()
+    before = noise(denoiser, **parts)
+    if changed in ("step", "frames"):
+        after = noise(denoiser, **parts, **{changed: 30})
+    else:
+        after = noise(denoiser, **{**parts, changed: parts[changed] + 1})
+    assert not torch.allclose(before, after, atol=1e-4)
+
+
+def test_later_orders_share_the_last_embedding(denoiser: Denoiser) -> None:
+    parts = inputs()
+    far, farther = ({**parts, "order": torch.full_like(parts["order"], order)} for order in (15, 30))
+    assert torch.equal(noise(denoiser, **far), noise(denoiser, **farther))
