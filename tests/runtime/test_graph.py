@@ -1,0 +1,140 @@
+"""The semantic graph: checked when made, the same after JSON, nothing accepted that is not one."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import math
+from typing import Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from kinegraph.errors import InvalidGraphError, InvalidInputError
+from kinegraph.graph import MAX_WEIGHT, Action, Argument, SemanticGraph
+from kinegraph.limits import MAX_NODES, MAX_TEXT
+from kinegraph.text.roles import ARGUMENT_ROLES, MOTION_ACTION, ROLES
+
+CAPTION = "a person walks slowly to the left"
+GRAPH = SemanticGraph(
+    CAPTION,
+    (
+        Action(
+            "walks",
+            9,
+            14,
+            0,
+            1.5,
+            (Argument("ARG0", "a person", 0, 8), Argument("ARGM-MNR", "slowly", 15, 21, 0.0)),
+        ),
+    ),
+)
+
+
+def edited(**changes: Any) -> dict[str, Any]:
+    """The graph as parsed JSON, with some keys of its first action changed (None removes one)."""
+    value = GRAPH.to_dict()
+    for name, change in changes.items():
+        value["actions"][0][name] = change
+        if change is None:
+            del value["actions"][0][name]
+    return value
+
+
+def test_the_twelve_edge_types_keep_their_numbers() -> None:
+    # Trained weights depend on them.
+    assert ROLES == (
+        "ARG0", "ARG1", "ARG2", "ARG3", "ARG4", "ARGM-LOC", "ARGM-MNR", "ARGM-TMP", "ARGM-DIR", "ARGM-ADV", "ARGM-MA",
+        "OTHERS",
+    )  # fmt: skip
+
+
+def test_nothing_can_be_changed_in_place() -> None:
+    for part in (GRAPH, GRAPH.actions[0], GRAPH.actions[0].arguments[0]):
+        with pytest.raises(dataclasses.FrozenInstanceError):
+            part.text = "x"  # type: ignore[misc, union-attr]
+
+
+def test_json_comes_back_as_the_same_graph() -> None:
+    assert SemanticGraph.from_json(GRAPH.to_json()) == GRAPH
+    assert SemanticGraph.from_json(GRAPH.to_json(indent=2)) == GRAPH
+    swapped = dataclasses.replace(GRAPH, actions=(dataclasses.replace(GRAPH.actions[0], order=3),))
+    assert SemanticGraph.from_json(swapped.to_json()).actions[0].order == 3
+
+
+@given(st.text(min_size=1, max_size=40, alphabet=st.characters(exclude_categories=["Cs"])), st.data())
+def test_any_text_survives_json(caption: str, data: st.DataObject) -> None:
+    start = data.draw(st.integers(0, len(caption) - 1))
+    end = data.draw(st.integers(start + 1, len(caption)))
+    weight = data.draw(st.floats(0, MAX_WEIGHT))
+    graph = SemanticGraph(caption, (Action(caption[start:end], start, end, 0, weight),))
+    assert SemanticGraph.from_json(graph.to_json()) == graph
+
+
+@pytest.mark.parametrize(
+    ("changes", "named"),
+    [
+        ({"start": 8}, "caption"),
+        ({"start": -1}, "offsets"),
+        ({"end": len(CAPTION) + 1}, "offsets"),
+        ({"start": 9.0}, "offsets"),
+        ({"start": True}, "offsets"),
+        ({"text": "runs"}, "runs"),
+        ({"text": 5}, "text"),
+        ({"weight": -0.1}, "weight"),
+        ({"weight": math.inf}, "weight"),
+        ({"weight": math.nan}, "weight"),
+        ({"weight": MAX_WEIGHT * 2}, "weight"),
+        ({"weight": "1"}, "weight"),
+        ({"weight": True}, "weight"),
+        ({"order": -1}, "order"),
+        ({"order": 1.0}, "order"),
+        ({"arguments": {}}, "list"),
+        ({"arguments": [{"role": MOTION_ACTION, "text": "a", "start": 0, "end": 1}]}, "role"),
+        ({"arguments": [{"role": "ARG9", "text": "a", "start": 0, "end": 1}]}, "ARG9"),
+        ({"arguments": [{"text": "a", "start": 0, "end": 1}]}, "role"),
+        ({"arguments": ["a person"]}, "object"),
+        ({"text": None}, "text"),
+        ({"colour": "red"}, "colour"),
+    ],
+)
+def test_what_is_no_graph_is_refused_by_name(changes: dict[str, Any], named: str) -> None:
+    with pytest.raises(InvalidGraphError, match=named):
+        SemanticGraph.from_dict(edited(**changes))
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "", "null", "[]", "{", '{"caption": "a"}', '{"caption": "a", "actions": []}', "[" * 100_000,
+        '{"caption": "", "actions": [{"text": "", "start": 0, "end": 0}]}',
+        '{"caption": 5, "actions": []}', "NaN", '{"caption": "a", "actions": [], "x": 1}',
+        json.dumps({"caption": "a" * (MAX_TEXT + 1), "actions": [{"text": "a", "start": 0, "end": 1}]}),
+        GRAPH.to_json().replace("1.5", "NaN"), GRAPH.to_json().replace("1.5", "1e999"),
+    ],
+)  # fmt: skip
+def test_json_of_something_else_is_refused(text: str) -> None:
+    with pytest.raises(InvalidGraphError):
+        SemanticGraph.from_json(text)
+
+
+def test_more_nodes_than_the_model_takes_are_refused() -> None:
+    def with_actions(count: int) -> SemanticGraph:
+        return SemanticGraph("walks", tuple(Action("walks", 0, 5, place % MAX_NODES) for place in range(count)))
+
+    assert with_actions(MAX_NODES - 1).node_count == MAX_NODES
+    with pytest.raises(InvalidGraphError, match=str(MAX_NODES + 1)):
+        with_actions(MAX_NODES)
+
+
+def test_a_wrong_graph_is_wrong_input() -> None:
+    # One `except` catches both.
+    assert issubclass(InvalidGraphError, InvalidInputError)
+
+
+@pytest.mark.parametrize("role", ARGUMENT_ROLES)
+def test_every_role_but_that_of_actions_may_be_borne(role: str) -> None:
+    argument = Argument(role, "slowly", 15, 21)
+    graph = SemanticGraph(CAPTION, (Action("walks", 9, 14, 0, arguments=(argument,)),))
+    assert graph.node_count == 3

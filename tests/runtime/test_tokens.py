@@ -1,0 +1,73 @@
+"""Word pieces and the characters they came from."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+import kinegraph
+from kinegraph.errors import BundleFormatError, InvalidInputError
+from kinegraph.limits import MAX_PIECES, MAX_TEXT
+from kinegraph.text.tokens import CaptionTokenizer, span_mask
+
+FILE = Path(kinegraph.__file__).parent / "bundles" / "default" / "tokenizer.json"
+pytestmark = pytest.mark.skipif(not FILE.is_file(), reason="no default bundle")
+
+
+@pytest.fixture(scope="module")
+def tokenizer() -> CaptionTokenizer:
+    return CaptionTokenizer(FILE.read_bytes())
+
+
+def test_ids_are_those_of_berts_uncased_vocabulary(tokenizer: CaptionTokenizer) -> None:
+    # [CLS] a person walks [SEP], as published with the vocabulary
+    found = tokenizer.encode("A person walks")
+    assert found.ids.tolist() == [101, 1037, 2711, 7365, 102]
+    assert found.mask.tolist() == [1] * 5
+    assert found.offsets.tolist() == [[0, 0], [0, 1], [2, 8], [9, 14], [0, 0]]
+    assert found.ids.dtype == found.mask.dtype == found.offsets.dtype == np.int64
+
+
+def test_pieces_of_one_word_share_its_span(tokenizer: CaptionTokenizer) -> None:
+    text = "someone moonwalks"
+    found = tokenizer.encode(text)
+    held = span_mask(found.offsets, 8, len(text))
+    assert held.sum() > 1, "the word is cut into pieces"
+    assert "".join(text[a:b] for a, b in found.offsets[held]) == "moonwalks"
+
+
+def test_a_span_holds_the_pieces_that_share_a_character_and_no_special_one(tokenizer: CaptionTokenizer) -> None:
+    found = tokenizer.encode("walks to the left")
+    assert span_mask(found.offsets, 9, 17).tolist() == [False, False, False, True, True, False]
+    assert span_mask(found.offsets, 10, 11).tolist() == [False, False, False, True, False, False]
+    assert not span_mask(found.offsets, 0, 0).any()
+
+
+@given(st.text(alphabet=st.characters(exclude_categories=["Cs"]), min_size=1, max_size=80))
+def test_offsets_are_characters_of_any_text(tokenizer: CaptionTokenizer, text: str) -> None:
+    found = tokenizer.encode(text)
+    assert len(found.ids) == len(found.mask) == len(found.offsets) >= 2
+    assert (found.offsets >= 0).all() and (found.offsets <= len(text)).all()
+    starts = found.offsets[1:-1, 0]
+    assert (np.diff(starts) >= 0).all()
+
+
+def test_more_pieces_than_positions_are_refused_not_cut_off(tokenizer: CaptionTokenizer) -> None:
+    assert len(tokenizer.encode("走" * (MAX_PIECES - 2)).ids) == MAX_PIECES
+    with pytest.raises(InvalidInputError, match=f"{MAX_TEXT + 2} word pieces"):
+        tokenizer.encode("走" * MAX_TEXT)
+
+
+def test_half_a_surrogate_pair_is_refused(tokenizer: CaptionTokenizer) -> None:
+    with pytest.raises(InvalidInputError, match="character 3"):
+        tokenizer.encode("a \udcff walks")
+
+
+@pytest.mark.parametrize("wrong", [b"", b"{}", b"\xff\xfe", b'{"version": "1.0"}'])
+def test_a_file_that_is_no_tokenizer_is_refused(wrong: bytes) -> None:
+    with pytest.raises(BundleFormatError):
+        CaptionTokenizer(wrong)
