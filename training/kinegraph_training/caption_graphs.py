@@ -18,7 +18,7 @@ from tqdm import tqdm
 from kinegraph.conditions import GraphArrays, graph_arrays
 from kinegraph.errors import InvalidInputError
 from kinegraph.text.parser import GraphParser
-from kinegraph.text.tokens import CaptionTokenizer
+from kinegraph.text.tokens import CaptionTokenizer, TokenIds
 
 ASSETS = ("text_encoder.onnx", "tokenizer.json", "parser.bin")
 
@@ -43,10 +43,17 @@ class CaptionEncoder:
     def __call__(self, caption: str) -> GraphArrays:
         """Parse and encode one caption."""
         tokens = self.tokenizer.encode(caption)
-        hidden, pooled = self.session.run(
-            ["hidden", "pooled"], {"input_ids": tokens.ids[None], "attention_mask": tokens.mask[None]}
-        )
+        hidden, pooled = self.session.run(["hidden", "pooled"], _feeds(tokens))
         return graph_arrays(self.parser.parse(caption), tokens, hidden[0], pooled[0])
+
+    def hidden(self, caption: str) -> NDArray[np.float32]:
+        """(T, D) hidden states of one caption."""
+        states: NDArray[np.float32] = self.session.run(["hidden"], _feeds(self.tokenizer.encode(caption)))[0][0]
+        return states
+
+
+def _feeds(tokens: TokenIds) -> dict[str, NDArray[np.int64]]:
+    return {"input_ids": tokens.ids[None], "attention_mask": tokens.mask[None]}
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,194 @@
+"""Measure a bundle: the papers' metrics, recognition, behaviour and clean movement, beside captured motion.
+
+    python benchmarks/evaluate.py --data DATA/bandai --out evaluation.json
+
+Everything generated goes through the runtime and is kept in --work, so that a stopped run goes on. Only the motion of
+the specific level is scored: GraphMotion's released code scores a blend of its three levels' embeddings. Writes JSON,
+and a Markdown table beside it.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from evaluator import Evaluator
+from numpy.typing import NDArray
+from recogniser import Recogniser
+from scores import GROUP, Judges, Reference, has_twin, scores, summarised
+from takes import folder_of, generated
+
+from kinegraph import KinegraphError, MotionPipeline
+from kinegraph.motion.skeleton import bone_lengths
+from kinegraph_training.data import MotionClip, read_split
+from kinegraph_training.metrics import bootstrap, frechet_distance, label_groups, multimodality, r_precision
+
+MIN_FRAMES = 16
+SPLITS = ("dev_test", "dev_compositional")
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What is measured, and how often."""
+
+    bundle: Path | None
+    data: Path
+    work: Path
+    repeats: int
+    options: dict[str, Any]
+
+
+def long_enough(clips: Sequence[MotionClip]) -> list[MotionClip]:
+    """Clips that a model can be asked for."""
+    return [clip for clip in clips if len(clip.joints) >= MIN_FRAMES]
+
+
+def captured_scores(reference: Reference, judges: Judges, repeats: int) -> dict[str, Any]:
+    """The captured motion under its own captions; its FID is that of two halves of the split, the floor of any FID."""
+    rng = np.random.default_rng(1)
+    rows, motions = [], [clip.joints for clip in reference.clips]
+    for take in range(repeats):
+        captions = [clip.captions[take % len(clip.captions)] for clip in reference.clips]
+        found, embedded, _ = scores(motions, captions, reference, judges, rng)
+        order = rng.permutation(len(embedded))
+        half = len(order) // 2
+        rows.append({**found, "fid": frechet_distance(embedded[order[:half]], embedded[order[half:]])})
+    return summarised(rows)
+
+
+def generated_scores(
+    plan: Plan, pipe: MotionPipeline, split: str, reference: Reference, judges: Judges, twins: Sequence[bool]
+) -> dict[str, Any]:
+    """All takes of a split: means over takes, intervals over clips, and the same without near twins."""
+    folder = folder_of(pipe, plan.work, split, reference.clips, plan.options)
+    alone = [row for row, twin in enumerate(twins) if not twin]
+    rng = np.random.default_rng(2)
+    rows, rows_alone, embeddings, texts = [], [], [], []
+    for take in range(plan.repeats):
+        motions, captions = generated(pipe, reference.clips, take, folder, **plan.options)
+        found, embedded, text = scores(motions, captions, reference, judges, rng)
+        rows.append(found)
+        embeddings.append(embedded)
+        texts.append(text)
+        if len(alone) > 1:
+            part = Reference([reference.clips[row] for row in alone], reference.embeddings[alone])
+            rows_alone.append(scores([motions[r] for r in alone], [captions[r] for r in alone], part, judges, rng)[0])
+        print(f"{split} take {take + 1} of {plan.repeats}: R@1 {found['r_precision_1']:.3f}", file=sys.stderr)
+    return {
+        "clips": len(reference.clips),
+        "distinct_pairs": len(set(reference.labels)),
+        "group": min(GROUP, len(set(reference.labels))),
+        "mean": summarised(rows),
+        "interval_over_clips": intervals(embeddings[0], texts[0], reference, rng),
+        "multimodality": takes_apart(embeddings, reference.clips, rng),
+        "clips_without_near_twin": len(alone),
+        "without_near_twins": summarised(rows_alone) if rows_alone else None,
+    }
+
+
+def takes_apart(embeddings: Sequence[NDArray[np.float32]], clips: Sequence[MotionClip], rng: Any) -> float | None:
+    """MModality: distance between takes of one and the same caption."""
+    cycle = max(len(clip.captions) for clip in clips)
+    same = embeddings[::cycle]
+    return multimodality(np.stack(same, axis=1), rng) if len(same) > 1 else None
+
+
+def intervals(
+    motions: NDArray[np.float32], texts: NDArray[np.float32], reference: Reference, rng: np.random.Generator
+) -> dict[str, tuple[float, float]]:
+    """95 % bootstrap intervals over clips, of the first take."""
+    labels = reference.labels
+
+    def top_1(rows: NDArray[np.int64]) -> float:
+        groups = label_groups([labels[row] for row in rows], GROUP, rng)
+        return float(np.mean([r_precision(texts[rows[group]], motions[rows[group]])[0] for group in groups]))
+
+    def fid(rows: NDArray[np.int64]) -> float:
+        return frechet_distance(motions[rows], reference.embeddings[rows])
+
+    return {name: bootstrap(one, len(labels), rng, 100) for name, one in (("r_precision_1", top_1), ("fid", fid))}
+
+
+def evaluate(plan: Plan) -> dict[str, Any]:
+    """Everything, as it is written."""
+    pipe = MotionPipeline.load(plan.bundle)
+    train = read_split(plan.data, "train")
+    lengths = np.mean([bone_lengths(clip.joints).mean(0) for clip in train], axis=0)
+    judges = Judges(Evaluator(), Recogniser(train), lengths)
+    result: dict[str, Any] = {
+        "bundle": f"{pipe.manifest.name} {pipe.manifest.version}",
+        "evaluator": judges.evaluator.version,
+        "repeats": plan.repeats,
+        "options": plan.options,
+        "splits": {},
+    }
+    for split in SPLITS:
+        clips = long_enough(read_split(plan.data, split))
+        reference = Reference(clips, judges.evaluator.motions([clip.joints for clip in clips]))
+        result["splits"][split] = {
+            "captured": captured_scores(reference, judges, plan.repeats),
+            "generated": generated_scores(plan, pipe, split, reference, judges, has_twin(clips, train)),
+        }
+    return result
+
+
+def table(result: dict[str, Any]) -> str:
+    """Markdown, one table per split."""
+    lines = [f"{result['bundle']}, evaluator {result['evaluator']}, {result['repeats']} repeats (mean ± 1.96 s.e.)"]
+    for split, parts in result["splits"].items():
+        made, real = parts["generated"], parts["captured"]
+        lines += [
+            "",
+            f"**{split}**: {made['clips']} clips, {made['distinct_pairs']} content-style pairs, groups of"
+            f" {made['group']}; {made['clips_without_near_twin']} clips have no near twin in training",
+            "",
+            "| | captured | generated | ratio | without near twins |",
+            "|---|---|---|---|---|",
+        ]
+        for name, value in made["mean"].items():
+            alone = made["without_near_twins"]
+            other = f"{alone[name]['mean']:.3f}" if alone and name in alone else "-"
+            own = real[name]["mean"]
+            ratio = f"{value['mean'] / own:.2f}" if own else "-"
+            lines.append(
+                f"| {name} | {own:.3f} | {value['mean']:.3f} ± {value['plus_minus']:.3f} | {ratio} | {other} |"
+            )
+        if made["multimodality"] is not None:
+            lines.append(f"| multimodality | - | {made['multimodality']:.3f} | - | - |")
+    return "\n".join(lines) + "\n"
+
+
+def main() -> int:
+    """0: measured; 2: wrong input."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--data", type=Path, required=True, help="folder of the captured motion (bandai)")
+    parser.add_argument("--bundle", type=Path, help="folder of a bundle; the default bundle without it")
+    parser.add_argument("--work", type=Path, default=Path("evaluation"), help="folder for generated clips")
+    parser.add_argument("--repeats", type=int, default=20)
+    parser.add_argument("--steps", type=lambda text: [int(part) for part in text.split(",")], help="such as 15,15,20")
+    parser.add_argument("--guidance", type=float)
+    parser.add_argument("--out", type=Path, required=True, help="JSON file; a .md file is written beside it")
+    arguments = parser.parse_args()
+    options = {name: getattr(arguments, name) for name in ("steps", "guidance")}
+    options = {name: value for name, value in options.items() if value is not None}
+    plan = Plan(arguments.bundle, arguments.data, arguments.work, arguments.repeats, options)
+    try:
+        result = evaluate(plan)
+    except KinegraphError as error:
+        print(f"evaluate: error: {error}", file=sys.stderr)
+        return 2
+    arguments.out.write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
+    text = table(result)
+    arguments.out.with_suffix(".md").write_text(text, encoding="utf-8")
+    print(text)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
