@@ -22,9 +22,9 @@ from evaluator import Evaluator
 from numpy.typing import NDArray
 from recogniser import Recogniser
 from scores import GROUP, Judges, Reference, has_twin, scores, summarised
-from takes import folder_of, generated
+from takes import BundleModel, Model, folder_of, generated
 
-from kinegraph import KinegraphError, MotionPipeline
+from kinegraph import KinegraphError
 from kinegraph.motion.skeleton import bone_lengths
 from kinegraph_training.data import MotionClip, read_split
 from kinegraph_training.metrics import bootstrap, frechet_distance, label_groups, multimodality, r_precision
@@ -38,6 +38,8 @@ class Plan:
     """What is measured, and how often."""
 
     bundle: Path | None
+    run: Path | None
+    """A training run to sample in torch, instead of a bundle."""
     data: Path
     work: Path
     repeats: int
@@ -50,28 +52,25 @@ def long_enough(clips: Sequence[MotionClip]) -> list[MotionClip]:
 
 
 def captured_scores(reference: Reference, judges: Judges, repeats: int) -> dict[str, Any]:
-    """The captured motion under its own captions; its FID is that of two halves of the split, the floor of any FID."""
+    """The captured motion under its own captions."""
     rng = np.random.default_rng(1)
     rows, motions = [], [clip.joints for clip in reference.clips]
     for take in range(repeats):
         captions = [clip.captions[take % len(clip.captions)] for clip in reference.clips]
-        found, embedded, _ = scores(motions, captions, reference, judges, rng)
-        order = rng.permutation(len(embedded))
-        half = len(order) // 2
-        rows.append({**found, "fid": frechet_distance(embedded[order[:half]], embedded[order[half:]])})
+        rows.append(scores(motions, captions, reference, judges, rng)[0])
     return summarised(rows)
 
 
 def generated_scores(
-    plan: Plan, pipe: MotionPipeline, split: str, reference: Reference, judges: Judges, twins: Sequence[bool]
+    plan: Plan, model: Model, split: str, reference: Reference, judges: Judges, twins: Sequence[bool]
 ) -> dict[str, Any]:
     """All takes of a split: means over takes, intervals over clips, and the same without near twins."""
-    folder = folder_of(pipe, plan.work, split, reference.clips, plan.options)
+    folder = folder_of(model, plan.work, split, reference.clips, plan.options)
     alone = [row for row, twin in enumerate(twins) if not twin]
     rng = np.random.default_rng(2)
     rows, rows_alone, embeddings, texts = [], [], [], []
     for take in range(plan.repeats):
-        motions, captions = generated(pipe, reference.clips, take, folder, **plan.options)
+        motions, captions = generated(model, reference.clips, take, folder, **plan.options)
         found, embedded, text = scores(motions, captions, reference, judges, rng)
         rows.append(found)
         embeddings.append(embedded)
@@ -115,14 +114,23 @@ def intervals(
     return {name: bootstrap(one, len(labels), rng, 100) for name, one in (("r_precision_1", top_1), ("fid", fid))}
 
 
+def model_of(plan: Plan) -> Model:
+    """The bundle, or the run."""
+    if plan.run is None:
+        return BundleModel(plan.bundle)
+    from torch_model import TorchModel  # torch is for comparisons only
+
+    return TorchModel(plan.run)
+
+
 def evaluate(plan: Plan) -> dict[str, Any]:
     """Everything, as it is written."""
-    pipe = MotionPipeline.load(plan.bundle)
+    model = model_of(plan)
     train = read_split(plan.data, "train")
     lengths = np.mean([bone_lengths(clip.joints).mean(0) for clip in train], axis=0)
     judges = Judges(Evaluator(), Recogniser(train), lengths)
     result: dict[str, Any] = {
-        "bundle": f"{pipe.manifest.name} {pipe.manifest.version}",
+        "model": model.name,
         "evaluator": judges.evaluator.version,
         "repeats": plan.repeats,
         "options": plan.options,
@@ -133,14 +141,14 @@ def evaluate(plan: Plan) -> dict[str, Any]:
         reference = Reference(clips, judges.evaluator.motions([clip.joints for clip in clips]))
         result["splits"][split] = {
             "captured": captured_scores(reference, judges, plan.repeats),
-            "generated": generated_scores(plan, pipe, split, reference, judges, has_twin(clips, train)),
+            "generated": generated_scores(plan, model, split, reference, judges, has_twin(clips, train)),
         }
     return result
 
 
 def table(result: dict[str, Any]) -> str:
     """Markdown, one table per split."""
-    lines = [f"{result['bundle']}, evaluator {result['evaluator']}, {result['repeats']} repeats (mean ± 1.96 s.e.)"]
+    lines = [f"{result['model']}, evaluator {result['evaluator']}, {result['repeats']} repeats (mean ± 1.96 s.e.)"]
     for split, parts in result["splits"].items():
         made, real = parts["generated"], parts["captured"]
         lines += [
@@ -169,6 +177,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--data", type=Path, required=True, help="folder of the captured motion (bandai)")
     parser.add_argument("--bundle", type=Path, help="folder of a bundle; the default bundle without it")
+    parser.add_argument("--run", type=Path, help="a training run instead of a bundle, sampled in torch (comparisons)")
     parser.add_argument("--work", type=Path, default=Path("evaluation"), help="folder for generated clips")
     parser.add_argument("--repeats", type=int, default=20)
     parser.add_argument("--steps", type=lambda text: [int(part) for part in text.split(",")], help="such as 15,15,20")
@@ -177,7 +186,7 @@ def main() -> int:
     arguments = parser.parse_args()
     options = {name: getattr(arguments, name) for name in ("steps", "guidance")}
     options = {name: value for name, value in options.items() if value is not None}
-    plan = Plan(arguments.bundle, arguments.data, arguments.work, arguments.repeats, options)
+    plan = Plan(arguments.bundle, arguments.run, arguments.data, arguments.work, arguments.repeats, options)
     try:
         result = evaluate(plan)
     except KinegraphError as error:

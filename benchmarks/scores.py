@@ -58,6 +58,9 @@ def scores(
     hits = np.mean([r_precision(texts[rows], embedded[rows]) for rows in groups], axis=0)
     found = {f"r_precision_{place}": float(hit) for place, hit in enumerate(hits, start=1)}
     found["fid"] = frechet_distance(embedded, reference.embeddings)
+    half, other = np.array_split(rng.permutation(len(embedded)), 2)
+    # Clips that neither side shares: the same number for captured motion is the floor that it can be compared with.
+    found["fid_of_halves"] = frechet_distance(embedded[half], reference.embeddings[other])
     found["mm_dist"] = matching_distance(texts, embedded)
     found["diversity"] = diversity(embedded, rng)
     found |= behaviour_scores(motions, captions, reference.clips) | recognised(motions, reference.clips, judges)
@@ -109,7 +112,7 @@ def has_twin(clips: Sequence[MotionClip], train: Sequence[MotionClip], frames: i
 def summarised(rows: Sequence[dict[str, float]]) -> dict[str, dict[str, float]]:
     """Mean over repeats, with 1.96 standard errors as the papers print it."""
     found: dict[str, dict[str, Any]] = {}
-    for name in rows[0]:
+    for name in dict.fromkeys(name for row in rows for name in row):
         values = np.array([row[name] for row in rows if name in row])
         spread = float(1.96 * values.std(ddof=1) / np.sqrt(len(values))) if len(values) > 1 else 0.0
         found[name] = {"mean": float(values.mean()), "plus_minus": spread}

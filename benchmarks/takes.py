@@ -6,6 +6,7 @@ import hashlib
 import sys
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,8 +17,34 @@ from kinegraph_training.data import MotionClip
 Joints = NDArray[np.float32]
 
 
+class Model(Protocol):
+    """What makes clips: a bundle (`BundleModel`), or a training run (`torch_model.TorchModel`)."""
+
+    name: str
+    stamp: str
+    """Changes with the weights and the defaults."""
+    fps: float
+    seconds_limits: tuple[float, float]
+
+    def generate(self, caption: str, *, seconds: float, seed: int, **options: Any) -> Any:
+        """An object with `joints`."""
+
+
+class BundleModel:
+    """A bundle through the runtime."""
+
+    def __init__(self, folder: Path | None) -> None:
+        pipe = MotionPipeline.load(folder)
+        manifest = pipe.manifest
+        self.name = f"{manifest.name} {manifest.version}"
+        parts = [spec.sha256 for _, spec in sorted(manifest.files.items())] + [repr(manifest.defaults)]
+        self.stamp = hashlib.sha256("".join(parts).encode()).hexdigest()
+        self.fps, self.seconds_limits = manifest.fps, manifest.seconds_limits
+        self.generate = pipe.generate
+
+
 def generated(
-    pipe: MotionPipeline, clips: Sequence[MotionClip], take: int, folder: Path, **options: object
+    model: Model, clips: Sequence[MotionClip], take: int, folder: Path, **options: Any
 ) -> tuple[list[Joints], list[str]]:
     """One motion per clip, for one of its captions and as long as it, and the captions used.
 
@@ -29,11 +56,11 @@ def generated(
         with np.load(path, allow_pickle=False) as stored:
             if stored["captions"].tolist() == captions:
                 return np.split(stored["joints"], stored["offsets"][1:-1]), captions
-    shortest, longest = pipe.manifest.seconds_limits
+    shortest, longest = model.seconds_limits
     motions: list[Joints] = []
     for row, (clip, caption) in enumerate(zip(clips, captions, strict=True)):
-        seconds = min(max(len(clip.joints) / pipe.manifest.fps, shortest), longest)
-        motions.append(pipe.generate(caption, seconds=seconds, seed=1000 * take + row, **options).joints)  # type: ignore[arg-type]
+        seconds = min(max(len(clip.joints) / model.fps, shortest), longest)
+        motions.append(model.generate(caption, seconds=seconds, seed=1000 * take + row, **options).joints)
         if sys.stderr.isatty():
             print(f"\rtake {take}: {row + 1} of {len(clips)}", end="", file=sys.stderr)
     folder.mkdir(parents=True, exist_ok=True)
@@ -45,8 +72,7 @@ def generated(
     return motions, captions
 
 
-def folder_of(pipe: MotionPipeline, work: Path, split: str, clips: Sequence[MotionClip], options: object) -> Path:
-    """A folder that belongs to this bundle's files, these clips and these options, and to nothing else."""
-    parts = [spec.sha256 for _, spec in sorted(pipe.manifest.files.items())] + [clip.id for clip in clips]
-    stamp = hashlib.sha256("\n".join([*parts, repr(options), repr(pipe.manifest.defaults)]).encode()).hexdigest()
-    return work / f"{split}_{stamp[:12]}"
+def folder_of(model: Model, work: Path, split: str, clips: Sequence[MotionClip], options: object) -> Path:
+    """A folder that belongs to this model's weights, these clips and these options, and to nothing else."""
+    parts = [model.stamp, repr(options), *(clip.id for clip in clips)]
+    return work / f"{split}_{hashlib.sha256(chr(10).join(parts).encode()).hexdigest()[:12]}"

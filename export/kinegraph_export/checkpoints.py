@@ -15,7 +15,7 @@ from kinegraph_training.models.hierarchy import Hierarchy
 
 
 def read_run(run: Path) -> tuple[Trained, TrainedVae]:
-    """Averaged weights of the specific autoencoder and of the denoisers, rounded to what the bundle will hold.
+    """Averaged weights of the specific autoencoder and of the denoisers, rounded to what a bundle holds.
 
     Raises:
         InvalidInputError: a stage has not been trained.

@@ -10,6 +10,7 @@ import torch
 from torch import nn
 
 from kinegraph.contract import LEVELS, GraphContract, LevelSpec, contracts
+from kinegraph.errors import InvalidInputError
 from kinegraph_export.modules import ContextGraph, DecoderGraph, MotionContextGraph, StepGraph
 from kinegraph_export.onnx_export import halved_weights, serialised, to_onnx
 from kinegraph_export.parity import max_difference, module_arguments
@@ -29,6 +30,16 @@ class Trained:
     centre: torch.Tensor
     scale: torch.Tensor
     """(c, z) standardisation of the specific level's latent."""
+
+
+def check_exportable(trained: Trained) -> None:
+    """Raises InvalidInputError for a model that is for comparison only."""
+    config = trained.hierarchy.config
+    if (config.kind, config.condition, config.reasoning, config.levels) != ("cross", "graph", True, LEVELS):
+        raise InvalidInputError(
+            f"only cross-attention over the reasoned graph at all levels can be exported, not kind {config.kind!r}, "
+            f"condition {config.condition!r}, reasoning {config.reasoning}, levels {', '.join(config.levels)}"
+        )
 
 
 def level_specs(trained: Trained) -> dict[str, LevelSpec]:
@@ -140,6 +151,7 @@ def dynamic_shapes(contract: GraphContract, frames_per_token: int) -> tuple[obje
 
 def export_graphs(trained: Trained, text_width: int, features: int) -> tuple[dict[str, bytes], dict[str, float]]:
     """All trained graphs: file name -> bytes, and parity per graph."""
+    check_exportable(trained)
     declared = contracts(level_specs(trained), text_width, features)
     files, parity = {}, {}
     for name, module in graph_modules(trained).items():

@@ -12,10 +12,11 @@ import torch
 from torch import Tensor
 
 from kinegraph.conditions import GraphArrays
-from kinegraph.contract import LEVELS, NULL_KIND
+from kinegraph.contract import NULL_KIND
 from kinegraph.motion.features import joints_from_features
 from kinegraph.motion.skeleton import FloatArray
 from kinegraph_export.graphs import Trained
+from kinegraph_training.models.hierarchy import GraphBatch
 from kinegraph_training.models.transformer import MASKED
 
 
@@ -40,8 +41,9 @@ def level_latent(
 ) -> Tensor:
     """Guided DDIM of one level, one prediction at a time."""
     denoiser = trained.hierarchy.levels[level]
-    number = LEVELS.index(level)
-    visible = torch.from_numpy(graph.kind <= number)
+    config = trained.hierarchy.config
+    number = config.levels.index(level)
+    visible = torch.from_numpy(graph.kind < config.kinds_seen(level))
     kind, order = torch.from_numpy(graph.kind)[visible][None], torch.from_numpy(graph.order)[visible][None]
     weights = torch.from_numpy(graph.path_weight)[visible][None]
     null_kind = torch.full((1, 1), NULL_KIND)
@@ -74,10 +76,11 @@ def torch_joints(
     trained: Trained, graph: GraphArrays, request: Request, mean: FloatArray, std: FloatArray
 ) -> FloatArray:
     """Joints (frames, 22, 3)."""
-    inputs = (graph.nodes, graph.relation, graph.edge_weight, np.ones(len(graph.kind), dtype=np.float32))
-    nodes = trained.hierarchy.graph_encoder(*(torch.from_numpy(part)[None] for part in inputs))[0]
+    inputs = {name: getattr(graph, name) for name in ("nodes", "relation", "edge_weight", "kind", "order")}
+    inputs["node_mask"] = np.ones(len(graph.kind), dtype=np.float32)
+    nodes = trained.hierarchy.encode(GraphBatch(**{k: torch.from_numpy(v)[None] for k, v in inputs.items()}))[0]
     latent: Tensor | None = None
-    for level in LEVELS:
+    for level in trained.hierarchy.latents:
         latent = level_latent(trained, level, graph, nodes, latent, request)
     group = trained.vae.config.frames_per_token
     mask = torch.zeros(1, -(-request.frames // group) * group)

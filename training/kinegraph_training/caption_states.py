@@ -9,6 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 from tqdm import tqdm
 
+from kinegraph.conditions import MOTION, NO_EDGE, GraphArrays
+from kinegraph.text.roles import OTHERS, ROLE_INDEX
 from kinegraph_training.caption_graphs import CaptionEncoder
 
 
@@ -19,10 +21,30 @@ class CaptionStates:
         self.numbers = {str(caption): number for number, caption in enumerate(captions)}
         self.offsets, self.states = offsets, states
 
-    def get(self, caption: str) -> NDArray[np.float32]:
+    def hidden(self, caption: str) -> NDArray[np.float32]:
         """(t, D) of one caption."""
         number = self.numbers[caption]
         return self.states[self.offsets[number] : self.offsets[number + 1]].astype(np.float32)
+
+    def get(self, caption: str) -> GraphArrays:
+        """The caption without its graph: the sentence and every word piece as nodes that have no edges."""
+        return plain_tokens(self.hidden(caption))
+
+
+def plain_tokens(hidden: NDArray[np.float32]) -> GraphArrays:
+    """(t, D) hidden states -> their mean and themselves, 1 + t nodes of the motion kind."""
+    nodes = np.concatenate([hidden.mean(axis=0, keepdims=True), hidden])
+    count = len(nodes)
+    relation = np.full((count, count), NO_EDGE, dtype=np.int64)
+    np.fill_diagonal(relation, ROLE_INDEX[OTHERS])
+    return GraphArrays(
+        nodes=nodes,
+        relation=relation,
+        edge_weight=np.ones((count, count), dtype=np.float32),
+        kind=np.full(count, MOTION, dtype=np.int64),
+        order=np.zeros(count, dtype=np.int64),
+        path_weight=np.ones(count, dtype=np.float32),
+    )
 
 
 def caption_states(captions: Sequence[str], assets: Path, cache: Path) -> CaptionStates:

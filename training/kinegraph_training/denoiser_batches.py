@@ -12,7 +12,7 @@ from torch import Tensor
 from kinegraph.conditions import ACTION, MOTION, SPECIFIC, GraphArrays, padded
 from kinegraph.contract import NULL_KIND, PADDING_BIAS
 from kinegraph_training.caption_graphs import CaptionGraphs
-from kinegraph_training.config import LEVELS
+from kinegraph_training.caption_states import CaptionStates
 from kinegraph_training.dataset import Dataset
 from kinegraph_training.latents import Latents
 from kinegraph_training.models.hierarchy import GraphBatch
@@ -79,7 +79,13 @@ class DenoiserBatches:
     """Collates clip numbers into batches; `augment` is for training only."""
 
     def __init__(
-        self, dataset: Dataset, latents: dict[str, Latents], graphs: CaptionGraphs, *, seed: int, augment: bool
+        self,
+        dataset: Dataset,
+        latents: dict[str, Latents],
+        graphs: CaptionGraphs | CaptionStates,
+        *,
+        seed: int,
+        augment: bool,
     ) -> None:
         self.dataset, self.latents, self.graphs, self.augment = dataset, latents, graphs, augment
         self.rng = np.random.Generator(np.random.PCG64(seed))
@@ -88,8 +94,8 @@ class DenoiserBatches:
     def __call__(self, numbers: list[int]) -> DenoiserBatch:
         graph, bias = self._graphs(numbers)
         rows = torch.tensor(numbers)
-        latents = {level: self.latents[level].sample(rows, self.generator) for level in LEVELS}
-        coarse = {level: self._noisy(latents[above]) for above, level in pairwise(LEVELS)}
+        latents = {level: own.sample(rows, self.generator) for level, own in self.latents.items()}
+        coarse = {level: self._noisy(latents[above]) for above, level in pairwise(latents)}
         frames = torch.tensor([len(self.dataset.features[number]) for number in numbers])
         batch = DenoiserBatch(graph, bias, latents, coarse, torch.zeros(len(numbers)), frames)
         return self._with_null_rows(batch) if self.augment else batch

@@ -21,8 +21,9 @@ from torch.utils.data import DataLoader, WeightedRandomSampler
 
 from kinegraph.contract import NULL_KIND, PADDING_BIAS
 from kinegraph.diffusion.schedule import NoiseSchedule
-from kinegraph_training.caption_graphs import encode_captions
-from kinegraph_training.config import LEVELS, DataConfig, OptimiserConfig, Preset, read_preset
+from kinegraph_training.caption_graphs import CaptionGraphs, encode_captions
+from kinegraph_training.caption_states import CaptionStates, caption_states
+from kinegraph_training.config import DataConfig, OptimiserConfig, Preset, read_preset
 from kinegraph_training.data import MotionClip
 from kinegraph_training.dataset import Dataset, training_set, validation_set
 from kinegraph_training.denoiser_batches import DenoiserBatch, DenoiserBatches
@@ -31,9 +32,6 @@ from kinegraph_training.models.denoiser import DenoiserConfig, LatentShape
 from kinegraph_training.models.hierarchy import Hierarchy
 from kinegraph_training.train_vae import add_common_arguments, lightning_flags
 from kinegraph_training.training_run import last_checkpoint, optimiser, trainer
-
-KINDS_SEEN = {"motion": 1, "action": 2, "specific": 3}
-"""A level sees nodes of kinds 0 .. k-1."""
 
 
 class DenoiserModule(L.LightningModule):
@@ -59,14 +57,14 @@ class DenoiserModule(L.LightningModule):
 
     def level_loss(self, level: str, nodes: Tensor, batch: DenoiserBatch, timestep: Tensor, noise: Tensor) -> Tensor:
         """Mean squared error of one level's noise prediction, per sample: (b,)."""
-        index = LEVELS.index(level)
+        kinds = self.hierarchy.config.kinds_seen(level)
         denoiser = self.hierarchy.levels[level]
         alpha = self.alphas[timestep][:, None, None]
         noisy = alpha.sqrt() * batch.latents[level] + (1 - alpha).sqrt() * noise
-        seen = (batch.graph.kind < KINDS_SEEN[level]) | (batch.graph.kind == NULL_KIND)
+        seen = (batch.graph.kind < kinds) | (batch.graph.kind == NULL_KIND)
         bias = torch.where(seen, batch.node_bias, torch.full_like(batch.node_bias, PADDING_BIAS))
-        # the motion level has nothing else to look at, so its node is never hidden from it
-        if index == 0:
+        # who has nothing else to look at is never denied the sentence
+        if kinds == 1:
             bias = torch.where(batch.graph.kind == 0, torch.zeros_like(bias), bias)
         coarse = batch.coarse.get(level)
         if coarse is not None:
@@ -81,7 +79,7 @@ class DenoiserModule(L.LightningModule):
         nodes = self.hierarchy.encode(batch.graph)
         count = len(batch.frames)
         terms = {}
-        for level in LEVELS:
+        for level in self.hierarchy.latents:
             place = (torch.randperm(count, generator=generator) + torch.rand(count, generator=generator)) / count
             timestep = (place * len(self.alphas)).long().clamp(max=len(self.alphas) - 1).to(self.device)
             noise = torch.randn(batch.latents[level].shape, generator=generator).to(self.device)
@@ -133,8 +131,13 @@ def batches(arguments: argparse.Namespace, preset: Preset) -> tuple[DataLoader, 
     train = within(training_set(arguments.data, preset.data, arguments.held_out, preset.seed), preset.data.max_frames)
     val = validation_set(arguments.data, "val", preset.data, train.mean, train.std)
     captions = [caption for clip in train.clips + val.clips for caption in clip.captions]
-    graphs = encode_captions(captions, arguments.assets, arguments.run / "captions.npz")
-    latents = cached_latents(arguments.run, train.features, arguments.run / "latents.pt")
+    graphs: CaptionGraphs | CaptionStates
+    if preset.denoiser.condition == "tokens":
+        graphs = caption_states(captions, arguments.assets, arguments.run / "states.npz")
+    else:
+        graphs = encode_captions(captions, arguments.assets, arguments.run / "captions.npz")
+    known = cached_latents(arguments.run, train.features, arguments.run / "latents.pt")
+    latents = {level: known[level] for level in preset.denoiser.levels}
     val_latents = {}
     for level, own in latents.items():
         posterior = encode_clips(read_vae(arguments.run / f"vae_{level}" / "last.ckpt"), val.features)

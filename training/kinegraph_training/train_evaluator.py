@@ -92,7 +92,7 @@ def collate(dataset: Dataset, states: CaptionStates, seed: int | None) -> Any:
         clips = [dataset.clips[number] for number in numbers]
         chosen = [clip.captions[0 if rng is None else int(rng.integers(len(clip.captions)))] for clip in clips]
         motion = padded([dataset.features[number] for number in numbers], group)
-        return (*motion, *padded([states.get(caption) for caption in chosen], 1), [label(clip) for clip in clips])
+        return (*motion, *padded([states.hidden(caption) for caption in chosen], 1), [label(clip) for clip in clips])
 
     return make
 

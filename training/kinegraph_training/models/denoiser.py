@@ -14,7 +14,8 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor, nn
 
-from kinegraph.contract import NODE_KINDS, NULL_KIND
+from kinegraph.contract import LEVELS, NODE_KINDS, NULL_KIND
+from kinegraph.errors import InvalidInputError
 from kinegraph_training.models.transformer import (
     FeedForward,
     SelfAttention,
@@ -42,6 +43,28 @@ class DenoiserConfig:
     max_frames: int = 196
     max_order: int = 16
     """Orders of actions with an embedding of their own; later actions share the last."""
+    kind: str = "cross"
+    """"cross": conditions by cross-attention (the product); "concat": in one sequence with the latent (GraphMotion as
+    published; for comparison, cannot be exported)."""
+    condition: str = "graph"
+    """What is attended to: the semantic "graph", the "tokens" of the caption, or the "sentence" alone (as in MLD)."""
+    reasoning: bool = True
+    """Whether graph attention (Eq. 1-3) runs over the nodes first."""
+    levels: tuple[str, ...] = LEVELS
+    """Coarse to fine; ("specific",) alone is one-stage latent diffusion."""
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "levels", tuple(self.levels))
+        for name, allowed in (("kind", ("cross", "concat")), ("condition", ("graph", "tokens", "sentence"))):
+            if getattr(self, name) not in allowed:
+                raise InvalidInputError(f"{name} must be one of {', '.join(allowed)}, not {getattr(self, name)!r}")
+        known = [level for level in LEVELS if level in self.levels]
+        if not self.levels or self.levels[-1] != LEVELS[-1] or self.levels != tuple(known):
+            raise InvalidInputError(f"levels must be some of {', '.join(LEVELS)}, in order, up to the last one")
+
+    def kinds_seen(self, level: str) -> int:
+        """A level sees nodes of kinds 0 .. k-1; the tokens of a caption all count as kind 0."""
+        return LEVELS.index(level) + 1 if self.condition == "graph" else 1
 
 
 @dataclass(frozen=True)
@@ -62,23 +85,22 @@ class Mixing:
     """(r, a) mixes attention outputs back into rows."""
 
 
-class ContextEncoder(nn.Module):
-    """Nodes and the coarser latent -> keys and values of every layer."""
+class ContextTokens(nn.Module):
+    """Nodes and the coarser latent as normalised tokens of model width."""
 
     def __init__(self, config: DenoiserConfig, coarse: LatentShape | None) -> None:
         super().__init__()
         width = config.width
-        self.heads, self.last_order = config.heads, config.max_order - 1
+        self.last_order = config.max_order - 1
         self.node_in = nn.Linear(config.text_width, width)
         self.kind = nn.Embedding(len(NODE_KINDS) + 1, width)
         self.order = nn.Embedding(config.max_order, width)
         self.coarse_in = nn.Linear(coarse.width, width) if coarse else None
         self.coarse_position = nn.Parameter(torch.randn(coarse.tokens, width) * 0.02) if coarse else None
         self.norm = nn.LayerNorm(width)
-        self.key_value = nn.ModuleList(nn.Linear(width, 2 * width) for _ in range(config.layers))
 
-    def forward(self, nodes: Tensor, kind: Tensor, order: Tensor, coarse: Tensor | None = None) -> KeyValue:
-        """nodes (a, n, D), kind and order (a, n), coarse (a, c', z) -> per layer key and value (a, h, s, d/h).
+    def forward(self, nodes: Tensor, kind: Tensor, order: Tensor, coarse: Tensor | None = None) -> Tensor:
+        """nodes (a, n, D), kind and order (a, n), coarse (a, c', z) -> (a, s, d).
 
         A node of kind NULL_KIND is the learned null token, whatever its features.
         """
@@ -86,7 +108,22 @@ class ContextEncoder(nn.Module):
         context = self.node_in(nodes) * given + self.kind(kind) + self.order(order.clamp(max=self.last_order)) * given
         if self.coarse_in is not None:
             context = torch.cat([context, self.coarse_in(coarse) + self.coarse_position], dim=1)
-        context = self.norm(context)
+        return self.norm(context)
+
+
+class ContextEncoder(ContextTokens):
+    """Context tokens -> keys and values of every layer."""
+
+    def __init__(self, config: DenoiserConfig, coarse: LatentShape | None) -> None:
+        super().__init__(config, coarse)
+        self.heads = config.heads
+        self.key_value = nn.ModuleList(nn.Linear(config.width, 2 * config.width) for _ in range(config.layers))
+
+    def forward(  # type: ignore[override]
+        self, nodes: Tensor, kind: Tensor, order: Tensor, coarse: Tensor | None = None
+    ) -> KeyValue:
+        """As `ContextTokens.forward` -> per layer key and value (a, h, s, d/h)."""
+        context = super().forward(nodes, kind, order, coarse)
         pairs = (layer(context).chunk(2, dim=-1) for layer in self.key_value)
         return [(split_heads(key, self.heads), split_heads(value, self.heads)) for key, value in pairs]
 

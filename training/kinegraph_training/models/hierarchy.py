@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 from torch import Tensor, nn
 
+from kinegraph_training.models.concat_denoiser import ConcatDenoiser
 from kinegraph_training.models.denoiser import Denoiser, DenoiserConfig, LatentShape
 from kinegraph_training.models.graph_encoder import GraphEncoder
 
@@ -30,13 +31,16 @@ class Hierarchy(nn.Module):
         self.config, self.latents = config, latents
         self.graph_encoder = GraphEncoder(config.text_width)
         shapes = list(latents.values())
+        kind = Denoiser if config.kind == "cross" else ConcatDenoiser
         self.levels = nn.ModuleDict(
             {
-                level: Denoiser(config, shape, shapes[index - 1] if index else None)
+                level: kind(config, shape, shapes[index - 1] if index else None)
                 for index, (level, shape) in enumerate(latents.items())
             }
         )
 
     def encode(self, graph: GraphBatch) -> Tensor:
-        """Reasoned node features (b, n, D)."""
+        """Node features (b, n, D), after graph attention where there is a graph to reason over."""
+        if self.config.condition != "graph" or not self.config.reasoning:
+            return graph.nodes
         return self.graph_encoder(graph.nodes, graph.relation, graph.edge_weight, graph.node_mask)
