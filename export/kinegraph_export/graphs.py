@@ -9,7 +9,7 @@ import numpy as np
 import torch
 from torch import nn
 
-from kinegraph.contract import LEVELS, GraphContract, LevelSpec, contracts
+from kinegraph.contract import LEVELS, NODE_KINDS, GraphContract, LevelSpec, contracts
 from kinegraph.errors import InvalidInputError
 from kinegraph_export.modules import ContextGraph, DecoderGraph, MotionContextGraph, StepGraph
 from kinegraph_export.onnx_export import halved_weights, serialised, to_onnx
@@ -45,7 +45,6 @@ def check_exportable(trained: Trained) -> None:
 def level_specs(trained: Trained) -> dict[str, LevelSpec]:
     """The manifest's levels."""
     config = trained.hierarchy.config
-    kinds = ("motion", "action", "specific")
     return {
         level: LevelSpec(
             tokens=shape.tokens,
@@ -53,9 +52,9 @@ def level_specs(trained: Trained) -> dict[str, LevelSpec]:
             width=config.width,
             heads=config.heads,
             layers=config.layers,
-            nodes=kinds[: index + 1],
+            nodes=NODE_KINDS[: config.kinds_seen(level)],
         )
-        for index, (level, shape) in enumerate(trained.hierarchy.latents.items())
+        for level, shape in trained.hierarchy.latents.items()
     }
 
 

@@ -64,7 +64,8 @@ def frechet(
     root = vectors * np.sqrt(values.clip(min=0.0)) @ vectors.T
     # tr (C_a C_b)^1/2 = tr (R C_b R)^1/2 with R = C_a^1/2, which is symmetric
     cross = np.sqrt(np.linalg.eigvalsh(root @ cov_b @ root).clip(min=0.0)).sum()
-    return float(((mean_a - mean_b) ** 2).sum() + np.trace(cov_a) + np.trace(cov_b) - 2.0 * cross)
+    # rounding may leave a hair below zero
+    return max(0.0, float(((mean_a - mean_b) ** 2).sum() + np.trace(cov_a) + np.trace(cov_b) - 2.0 * cross))
 
 
 def frechet_distance(a: Embeddings, b: Embeddings) -> float:

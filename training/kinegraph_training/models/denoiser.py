@@ -50,12 +50,19 @@ class DenoiserConfig:
     """What is attended to: the semantic "graph", the "tokens" of the caption, or the "sentence" alone (as in MLD)."""
     reasoning: bool = True
     """Whether graph attention (Eq. 1-3) runs over the nodes first."""
+    nodes_seen: str = "level"
+    """Nodes of the graph that a level attends to: those of its "level" and the coarser ones, or "all"."""
     levels: tuple[str, ...] = LEVELS
     """Coarse to fine; ("specific",) alone is one-stage latent diffusion."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "levels", tuple(self.levels))
-        for name, allowed in (("kind", ("cross", "concat")), ("condition", ("graph", "tokens", "sentence"))):
+        choices = {
+            "kind": ("cross", "concat"),
+            "condition": ("graph", "tokens", "sentence"),
+            "nodes_seen": ("level", "all"),
+        }
+        for name, allowed in choices.items():
             if getattr(self, name) not in allowed:
                 raise InvalidInputError(f"{name} must be one of {', '.join(allowed)}, not {getattr(self, name)!r}")
         known = [level for level in LEVELS if level in self.levels]
@@ -64,7 +71,9 @@ class DenoiserConfig:
 
     def kinds_seen(self, level: str) -> int:
         """A level sees nodes of kinds 0 .. k-1; the tokens of a caption all count as kind 0."""
-        return LEVELS.index(level) + 1 if self.condition == "graph" else 1
+        if self.condition != "graph":
+            return 1
+        return len(NODE_KINDS) if self.nodes_seen == "all" else LEVELS.index(level) + 1
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,122 @@
+"""What `evaluate.py` is made of: claims of captions, recognition, twins, takes that are kept."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from caption_claims import Claim, claims, hand_height, steps
+from evaluate import table
+from motions import posed, t_pose, turn, walk
+from recogniser import Recogniser
+from scores import has_twin, summarised
+from takes import folder_of, generated
+
+from kinegraph_training.data import MotionClip
+
+
+def clip(content: str, joints: np.ndarray, style: str = "normal", *captions: str) -> MotionClip:
+    return MotionClip(content, joints.astype(np.float32), captions or ("a person moves.",), content, style)
+
+
+@pytest.mark.parametrize(
+    ("caption", "expected"),
+    [
+        ("a person takes six steps forward", [Claim("steps", "6")]),
+        ("someone turns left by about 90 degrees", [Claim("degrees", "90")]),
+        ("raises both hands to shoulder height", [Claim("height", "shoulder height")]),
+        (
+            "lifts an arm above their head after two slow steps",
+            [Claim("steps", "2"), Claim("height", "above the head")],
+        ),
+        ("a person walks a few steps, headed home", []),
+    ],
+)
+def test_claims_are_read_from_captions(caption: str, expected: list[Claim]) -> None:
+    assert claims(caption) == expected
+
+
+def test_steps_are_counted() -> None:
+    # The legs of the figure change places every pi / 0.35 = 9 frames.
+    assert steps(walk(64)) == pytest.approx(64 / (np.pi / 0.35), abs=1)
+    assert steps(walk(64, turning=0.02, heading=1.0)) == pytest.approx(64 / (np.pi / 0.35), abs=1)
+    assert steps(t_pose(20)) == 0
+    assert Claim("steps", "7").holds(walk(64)) and not Claim("steps", "4").holds(walk(64))
+
+
+def test_degrees_may_miss_by_thirty() -> None:
+    pivot = np.stack([posed(np.zeros(3), {0: turn("y", angle)}) for angle in np.linspace(0, np.pi / 2, 30)])
+    assert Claim("degrees", "90").holds(pivot) and Claim("degrees", "110").holds(pivot)
+    assert not Claim("degrees", "180").holds(pivot)
+
+
+def test_the_hand_that_is_moved_tells_its_height() -> None:
+    up = {16: turn("z", 1.2), 17: turn("z", 1.4)}
+    one = np.repeat(posed(np.zeros(3), up)[None], 3, axis=0)
+    assert hand_height(one) > 0.2
+    assert Claim("height", "above the head").holds(one) and not Claim("height", "shoulder height").holds(one)
+    level = np.repeat(posed(np.zeros(3), {17: turn("z", 1.4)})[None], 3, axis=0)
+    assert Claim("height", "shoulder height").holds(level) and not Claim("height", "above the head").holds(level)
+
+
+def test_recognition_tells_what_it_was_shown() -> None:
+    def some(number: int) -> list[MotionClip]:
+        fast, still = walk(40 + number, speed=0.1 + number * 1e-3), t_pose(30 + number)
+        return [clip("run", fast, "active"), clip("stand", still + number * 1e-3, "calm")]
+
+    recogniser = Recogniser([one for number in range(8) for one in some(number)])
+    unseen = [one.joints for one in some(20)]
+    assert recogniser(unseen, "content") == ["run", "stand"]
+    assert recogniser(unseen, "style") == ["active", "calm"]
+
+
+def test_a_twin_is_a_near_clip_of_the_same_label() -> None:
+    train = [clip("walk", walk(50)), clip("run", walk(50, speed=0.1))]
+    near, far, other = walk(50) + 0.005, walk(50) + 0.5, walk(50)
+    assert has_twin([clip("walk", near), clip("walk", far), clip("bow", other)], train) == [True, False, False]
+
+
+class FakeModel:
+    """Counts what it is asked for."""
+
+    name, stamp, fps, seconds_limits = "fake", "s1", 20.0, (0.8, 9.8)
+
+    def __init__(self) -> None:
+        self.calls: list[tuple[str, float, int]] = []
+
+    def generate(self, caption: str, *, seconds: float, seed: int, **options: object) -> SimpleNamespace:
+        self.calls.append((caption, seconds, seed))
+        return SimpleNamespace(joints=walk(round(seconds * 20), speed=0.01 * len(caption)))
+
+
+def test_takes_are_kept_and_belong_to_their_model(tmp_path: Path) -> None:
+    clips = [clip("walk", walk(40), "normal", "walks", "is walking"), clip("dance", walk(300), "normal", "dances", "d")]
+    model = FakeModel()
+    folder = folder_of(model, tmp_path, "dev", clips, {})
+    motions, captions = generated(model, clips, 1, folder)
+    assert captions == ["is walking", "d"]
+    assert model.calls == [("is walking", 2.0, 1000), ("d", 9.8, 1001)]
+    again, _ = generated(model, clips, 1, folder)
+    assert len(model.calls) == 2, "nothing is generated twice"
+    for one, two in zip(motions, again, strict=True):
+        np.testing.assert_array_equal(one, two)
+    other = FakeModel()
+    other.stamp = "s2"
+    assert folder_of(other, tmp_path, "dev", clips, {}) != folder != folder_of(model, tmp_path, "dev", clips, {"g": 4})
+
+
+def test_a_summary_holds_what_only_some_repeats_have() -> None:
+    found = summarised([{"a": 1.0}, {"a": 3.0, "b": 5.0}])
+    assert found["a"]["mean"] == 2.0 and found["b"]["mean"] == 5.0
+    assert found["a"]["plus_minus"] == pytest.approx(1.96 * np.sqrt(2) / np.sqrt(2))
+
+
+def test_the_table_says_both_sides() -> None:
+    value = {"mean": 0.5, "plus_minus": 0.01}
+    made = {"clips": 9, "distinct_pairs": 3, "group": 3, "clips_without_near_twin": 4, "mean": {"fid": value},
+            "without_near_twins": None, "multimodality": 0.2}  # fmt: skip
+    parts = {"captured": {"fid": {"mean": 0.0, "plus_minus": 0.0}}, "generated": made}
+    text = table({"model": "m", "evaluator": "1", "repeats": 2, "splits": {"dev_test": parts}})
+    assert "| fid | 0.000 | 0.500 ± 0.010 | - | - |" in text
