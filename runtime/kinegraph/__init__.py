@@ -13,6 +13,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Final
 
 if TYPE_CHECKING:
+    from kinegraph.concepts import Concept
     from kinegraph.errors import (
         BundleError,
         BundleFormatError,
@@ -38,6 +39,7 @@ _HOMES: Final[dict[str, str]] = {
     "BundleIntegrityError": "kinegraph.errors",
     "Cancelled": "kinegraph.errors",
     "Clip": "kinegraph.motion.clip",
+    "Concept": "kinegraph.concepts",
     "InvalidGraphError": "kinegraph.errors",
     "InvalidInputError": "kinegraph.errors",
     "KinegraphError": "kinegraph.errors",
@@ -54,6 +56,7 @@ __all__ = [
     "BundleIntegrityError",
     "Cancelled",
     "Clip",
+    "Concept",
     "InvalidGraphError",
     "InvalidInputError",
     "KinegraphError",

@@ -1,4 +1,4 @@
-"""The command line: `kinegraph generate | parse | info | verify`.
+"""The command line: `kinegraph generate | compose | parse | info | verify`.
 
 Exit codes: 0 done; 2 wrong input, bundle or target (one line on stderr says what); 130 interrupted.
 """
@@ -10,17 +10,18 @@ import io
 import os
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from kinegraph import __version__
-from kinegraph.cli_input import captions, input_graph, level_numbers, level_steps
+from kinegraph.cli_input import captions, concepts, input_graph, level_numbers, level_steps
 from kinegraph.cli_output import Progress, as_json, info_record, info_text, one_line, verify_text
 from kinegraph.errors import Cancelled, KinegraphError
 
 # Everything that loads numpy or onnxruntime is imported where it is used: `--help` must be instant.
 if TYPE_CHECKING:
+    from kinegraph.motion.clip import Clip
     from kinegraph.pipeline import MotionPipeline
 
 EXIT_ERROR: Final = 2
@@ -58,6 +59,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--version", action="version", version=f"kinegraph {__version__}")
     verbs = parser.add_subparsers(title="commands", required=True, metavar="COMMAND")
     _add_generate(verbs.add_parser("generate", help="make a clip from a sentence or a graph"))
+    _add_compose(verbs.add_parser("compose", help="make a clip of several motions at once, or without some"))
     _add_parse(verbs.add_parser("parse", help="print the semantic graph of a sentence as JSON"))
     _add_info(verbs.add_parser("info", help="what a bundle is: licences, provenance, sizes, quality"))
     _add_verify(verbs.add_parser("verify", help="check every file, operator and session of a bundle"))
@@ -71,6 +73,38 @@ def _add_bundle(parser: argparse.ArgumentParser) -> None:
 
 def _add_generate(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("text", nargs="?", help="the sentence, e.g. 'a person walks forward and waves'")
+    parser.add_argument("--graph", metavar="FILE", help="a graph in JSON instead of the text; - is stdin")
+    _add_sampling(parser)
+    parser.set_defaults(run=_generate)
+
+
+def _add_compose(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--and",
+        dest="wanted",
+        action="append",
+        default=[],
+        metavar="TEXT[:WEIGHT]",
+        help="a motion that should happen; several times for several",
+    )
+    parser.add_argument(
+        "--not",
+        dest="unwanted",
+        action="append",
+        default=[],
+        metavar="TEXT[:WEIGHT]",
+        help="a motion that should not; weight 0.5 unless told",
+    )
+    parser.add_argument("--method", default="fused", help="latent, semantic or fused (default)")
+    parser.add_argument("--text", help="the joint sentence of fused; default: the wanted ones joined with 'while'")
+    parser.add_argument(
+        "--lambdas", type=level_numbers, metavar="L,S,M", help="shares of latent, semantic and joint text in fused"
+    )
+    _add_sampling(parser)
+    parser.set_defaults(run=_compose)
+
+
+def _add_sampling(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "-o",
         "--output",
@@ -79,7 +113,6 @@ def _add_generate(parser: argparse.ArgumentParser) -> None:
         metavar="FILE",
         help="the suffix says the format: .npz, .bvh",
     )
-    parser.add_argument("--graph", metavar="FILE", help="a graph in JSON instead of the text; - is stdin")
     parser.add_argument("--seconds", type=float, metavar="S", help="length; default and limits are the bundle's")
     parser.add_argument("--seed", type=int, help="the same seed gives the same clip; default: a new one")
     parser.add_argument(
@@ -93,7 +126,6 @@ def _add_generate(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--progress", action="store_true", help="show progress even if stderr is no terminal")
     parser.add_argument("--quiet", action="store_true", help="print nothing but errors")
     _add_bundle(parser)
-    parser.set_defaults(run=_generate)
 
 
 def _add_parse(parser: argparse.ArgumentParser) -> None:
@@ -119,17 +151,33 @@ def _add_verify(parser: argparse.ArgumentParser) -> None:
 
 
 def _generate(options: argparse.Namespace) -> int:
+    _check_target(options)
+    wish = input_graph(options.text, options.graph)
+    return _make(options, lambda pipeline, **wishes: pipeline.generate(wish, **wishes))
+
+
+def _compose(options: argparse.Namespace) -> int:
+    _check_target(options)
+    found = concepts(options.wanted, options.unwanted)
+    own = {"method": options.method, "text": options.text, "lambdas": options.lambdas}
+    return _make(options, lambda pipeline, **wishes: pipeline.compose(found, **own, **wishes))
+
+
+def _check_target(options: argparse.Namespace) -> None:
+    """The cheapest check first, and nothing is computed for a file that cannot be written."""
     from kinegraph.motion.clip import check_target
 
-    # The cheapest check first, and nothing is computed for a file that cannot be written.
     check_target(options.output, options.force)
-    wish = input_graph(options.text, options.graph)
+
+
+def _make(options: argparse.Namespace, make: Callable[..., Clip]) -> int:
+    """Load, make, write, report."""
     start = time.perf_counter()
     pipeline = _load(options.bundle, options.threads)
     loaded = time.perf_counter()
     with Progress.on_stderr(quiet=options.quiet, forced=options.progress) as progress:
-        clip = pipeline.generate(
-            wish,
+        clip = make(
+            pipeline,
             seconds=options.seconds,
             seed=options.seed,
             steps=options.steps,

@@ -5,12 +5,14 @@ from __future__ import annotations
 import argparse
 import json
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from kinegraph.errors import InvalidInputError, KinegraphError
 
 if TYPE_CHECKING:
+    from kinegraph.concepts import Concept
     from kinegraph.graph import SemanticGraph
 
 MAX_GRAPH_BYTES: Final = 1 << 20
@@ -33,6 +35,29 @@ def level_numbers(text: str) -> float | tuple[float, ...]:
     except ValueError:
         raise argparse.ArgumentTypeError(f"{text!r} is neither a number nor three, like 2.5,2.5,3") from None
     return numbers[0] if len(numbers) == 1 else numbers
+
+
+def weighted(text: str) -> tuple[str, float | None]:
+    """`a person walks:0.8` -> its sentence and weight; without a number at the end there is none."""
+    sentence, colon, number = text.rpartition(":")
+    try:
+        return (sentence, float(number)) if colon else (text, None)
+    except ValueError:
+        return text, None
+
+
+def concepts(wanted: Sequence[str], unwanted: Sequence[str]) -> list[Concept]:
+    """Of `--and` and `--not`; a negation's weight is given without its sign.
+
+    Raises:
+        InvalidInputError: a sentence or weight that is none.
+    """
+    from kinegraph.concepts import NEGATED, Concept
+
+    found = [Concept(text, 1.0 if weight is None else weight) for text, weight in map(weighted, wanted)]
+    for text, weight in map(weighted, unwanted):
+        found.append(Concept(text, NEGATED if weight is None else -abs(weight)))
+    return found
 
 
 def input_graph(text: str | None, graph: str | None) -> str | SemanticGraph:

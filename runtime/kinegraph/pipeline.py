@@ -5,7 +5,6 @@ text -> graph -> node features -> graph attention -> motion -> action -> specifi
 
 from __future__ import annotations
 
-import threading
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
@@ -14,6 +13,7 @@ import onnxruntime
 from numpy.typing import NDArray
 
 from kinegraph.bundle import read_bundle
+from kinegraph.concepts import Concept, checked_concepts, checked_lambdas, joint_caption
 from kinegraph.conditions import (
     Conditions,
     GraphArrays,
@@ -25,18 +25,20 @@ from kinegraph.conditions import (
     stacked,
 )
 from kinegraph.contract import LEVELS
+from kinegraph.diffusion.composition import Composition, Wiring, composition, mixed
 from kinegraph.diffusion.ddim import DdimCoefficients
 from kinegraph.diffusion.guidance import guided
-from kinegraph.diffusion.sampler import LevelPlan, OnStep, Predict, coarse_to_fine, initial_noise
-from kinegraph.errors import BundleError, NonFiniteError
+from kinegraph.diffusion.sampler import LevelPlan, OnStep, Predict, PredictorFor, coarse_to_fine, initial_noise
+from kinegraph.errors import NonFiniteError
 from kinegraph.graph import SemanticGraph
 from kinegraph.manifest import Manifest
 from kinegraph.motion.clip import Clip
 from kinegraph.motion.features import joints_from_features
 from kinegraph.motion.humanml3d import joints_from_humanml3d
+from kinegraph.network import RowNetwork, row_network, time_embedding
 from kinegraph.options import GenerateOptions, Guidance, Steps, generate_options
 from kinegraph.sessions import Sessions, open_sessions
-from kinegraph.text.parser import GraphParser, check_caption
+from kinegraph.text.parser import LazyParser, check_caption
 from kinegraph.text.tokens import CaptionTokenizer
 
 FloatArray = NDArray[np.float32]
@@ -126,14 +128,56 @@ class MotionPipeline:
         graph = text if isinstance(text, SemanticGraph) else self.parse(text)
         encoded = self._encode([self._arrays(graph)])
         latent = self._sample(encoded, [options], on_step)
-        joints = self._decode(latent, [options])[0]
-        return Clip(
-            joints=joints,
-            fps=self.manifest.fps,
-            seed=options.seed,
-            text=graph.caption,
-            bundle=f"{self.manifest.name} {self.manifest.version}",
-        )
+        return self._clip(self._decode(latent, [options])[0], options, graph.caption)
+
+    def compose(
+        self,
+        concepts: Sequence[Concept | str | SemanticGraph],
+        *,
+        method: str = "fused",
+        text: str | SemanticGraph | None = None,
+        lambdas: tuple[float, float, float] | None = None,
+        seconds: float | None = None,
+        seed: int | None = None,
+        steps: Steps | None = None,
+        guidance: Guidance | None = None,
+        on_step: OnStep | None = None,
+    ) -> Clip:
+        """A clip in which several motions happen at once, or do not (EnergyMoGen, Eq. 7-10).
+
+        Args:
+            concepts: up to 8; a negative weight is what must not happen.
+            method: "latent" adds predictions (Eq. 7, 8), "semantic" mixes attention (Eq. 9), "fused" blends both
+                with the joint text (Eq. 10).
+            text: the joint text of "fused"; None joins the positive concepts with "while".
+            lambdas: of "fused": shares of latent, semantic and joint text; default (0.1, 0.7, 0.2).
+            seconds, seed, steps, guidance, on_step: as in `generate`.
+
+        Raises:
+            InvalidInputError: a concept, weight or option is outside what can be composed; nothing has been run.
+            Cancelled, NonFiniteError: as in `generate`.
+        """
+        found = checked_concepts(concepts)
+        shares = checked_lambdas(method, lambdas, text, found)
+        options = generate_options(self.manifest, seconds=seconds, seed=seed, steps=steps, guidance=guidance)
+        joint = joint_caption(found) if text is None else text
+        wanted = [concept.text for concept in found] + ([joint] if shares[2] else [])
+        graphs = [each if isinstance(each, SemanticGraph) else self.parse(each) for each in wanted]
+        encoded = self._encode([self._arrays(graph) for graph in graphs])
+        weights = [concept.weight for concept in found]
+
+        def predictor_for(number: int, times: DdimCoefficients, coarse: FloatArray | None) -> Predict:
+            name = LEVELS[number]
+            plan = composition(weights, shares, options.guidance[name])
+            return self._composer(name, encoded, coarse, options.frames, times, plan)
+
+        latent = self._sampled([options], predictor_for, on_step)
+        caption = joint.caption if isinstance(joint, SemanticGraph) else joint
+        return self._clip(self._decode(latent, [options])[0], options, caption)
+
+    def _clip(self, joints: FloatArray, options: GenerateOptions, text: str) -> Clip:
+        bundle = f"{self.manifest.name} {self.manifest.version}"
+        return Clip(joints=joints, fps=self.manifest.fps, seed=options.seed, text=text, bundle=bundle)
 
     def _arrays(self, graph: SemanticGraph) -> GraphArrays:
         tokens = self._tokenizer.encode(graph.caption)
@@ -149,18 +193,24 @@ class MotionPipeline:
     def _sample(self, encoded: Conditions, options: Sequence[GenerateOptions], on_step: OnStep | None) -> FloatArray:
         """Latents of the finest level, (B, C, z); all samples of a batch share steps and guidance."""
         first = options[0]
-        plans = [
-            LevelPlan(name, spec.tokens, spec.latent_width, first.steps[name])
-            for name, spec in ((name, self.manifest.levels[name]) for name in LEVELS)
-        ]
-        per_sample = [initial_noise(each.seed, plans) for each in options]
-        noises = [np.stack(level) for level in zip(*per_sample, strict=True)]
         frames = np.array([each.frames for each in options])
 
         def predictor_for(number: int, times: DdimCoefficients, coarse: FloatArray | None) -> Predict:
             name = LEVELS[number]
             return self._predictor(name, encoded, coarse, frames, times, first.guidance[name])
 
+        return self._sampled(options, predictor_for, on_step)
+
+    def _sampled(
+        self, options: Sequence[GenerateOptions], predictor_for: PredictorFor, on_step: OnStep | None
+    ) -> FloatArray:
+        """All levels, each sample from the noise of its own seed."""
+        plans = [
+            LevelPlan(name, spec.tokens, spec.latent_width, options[0].steps[name])
+            for name, spec in ((name, self.manifest.levels[name]) for name in LEVELS)
+        ]
+        per_sample = [initial_noise(each.seed, plans) for each in options]
+        noises = [np.stack(level) for level in zip(*per_sample, strict=True)]
         return coarse_to_fine(plans, noises, predictor_for, self.manifest.schedule.noise, on_step)[-1]
 
     def _predictor(
@@ -172,50 +222,47 @@ class MotionPipeline:
         times: DdimCoefficients,
         scale: float,
     ) -> Predict:
-        """Guided noise prediction of one level. Everything that is constant over its steps is computed here, once.
-
-        Rows are the unconditional predictions of all samples, then the conditional ones.
-        """
-        spec = self.manifest.levels[name]
-        seen = for_level(encoded, spec.nodes)
-        rows = stacked(null_like(seen), seen)
-        keys_values, bias = self._context(name, rows, coarse)
-        count = len(rows.kind)
-        temb = (
-            self._tables[f"time_{name}"][times.timesteps][:, None, None, :]
-            + self._tables[f"length_{name}"][np.tile(frames, 2)][None, :, None, :]
-        )
-        constant = {
-            **keys_values,
-            "src": np.arange(count, dtype=np.int64),
-            "combine": np.eye(count, dtype=np.float32),
-            "bias": bias,
-        }
-        session = self._sessions.step[name]
+        """Guided noise prediction of one level: rows are the unconditional predictions of all samples, then theirs."""
+        seen = for_level(encoded, self.manifest.levels[name].nodes)
+        known = stacked(null_like(seen), seen)
+        twice = None if coarse is None else np.concatenate([coarse, coarse])
+        network = self._network(name, known, twice, Wiring.straight(2 * len(frames)), np.tile(frames, 2), times)
 
         def predict(latent: FloatArray, step: int) -> FloatArray:
-            feeds = {"latent": np.concatenate([latent, latent]), "temb": temb[step], **constant}
-            (noise,) = session.run(["noise"], feeds)
-            unconditional, conditional = np.split(noise, 2)
+            unconditional, conditional = np.split(network(np.concatenate([latent, latent]), step), 2)
             return guided(unconditional, conditional, scale)
 
         return predict
 
-    def _context(
-        self, name: str, rows: Conditions, coarse: FloatArray | None
-    ) -> tuple[dict[str, FloatArray], FloatArray]:
-        """Keys and values of every layer, and the attention bias (A, 1, C, S)."""
-        session = self._sessions.context[name]
-        feeds = {"nodes": rows.nodes, "kind": rows.kind, "order": rows.order}
-        bias = rows.bias
-        if coarse is not None:
-            shared = np.concatenate([coarse] * (len(rows.kind) // len(coarse)))
-            feeds["coarse"] = shared
-            bias = np.concatenate([bias, np.zeros(shared.shape[:2], dtype=np.float32)], axis=1)
-        names = [output.name for output in session.get_outputs()]
-        keys_values = dict(zip(names, session.run(names, feeds), strict=True))
-        spread = np.repeat(bias[:, None, None, :], self.manifest.levels[name].tokens, axis=2)
-        return keys_values, spread
+    def _composer(
+        self,
+        name: str,
+        encoded: Conditions,
+        coarse: FloatArray | None,
+        frames: int,
+        times: DdimCoefficients,
+        plan: Composition,
+    ) -> Predict:
+        """Composed noise prediction of one level, one run per step whatever the method."""
+        seen = for_level(encoded, self.manifest.levels[name].nodes)
+        null = null_like(Conditions(*(part[:1] for part in vars(seen).values())))
+        known = stacked(null, seen)
+        count, rows = len(known.kind), len(plan.mix)
+        shared = None if coarse is None else np.repeat(coarse, count, axis=0)
+        network = self._network(name, known, shared, plan.wiring, np.full(rows, frames), times)
+        return lambda latent, step: mixed(network(np.repeat(latent, rows, axis=0), step), plan.mix)
+
+    def _network(
+        self,
+        name: str,
+        known: Conditions,
+        coarse: FloatArray | None,
+        wiring: Wiring,
+        frames: NDArray[np.int64],
+        times: DdimCoefficients,
+    ) -> RowNetwork:
+        temb = time_embedding(self._tables, name, times.timesteps, frames)
+        return row_network(self._sessions.context[name], self._sessions.step[name], known, coarse, wiring, temb)
 
     def _decode(self, latent: FloatArray, options: Sequence[GenerateOptions]) -> list[FloatArray]:
         """Joints (frames, 22, 3) of every sample."""
@@ -231,24 +278,6 @@ class MotionPipeline:
         raw = _finite(features, "the decoder") * std + mean
         to_joints = _TO_JOINTS[manifest.features.layout]
         return [to_joints(rows[: each.frames]) for rows, each in zip(raw, options, strict=True)]
-
-
-class LazyParser:
-    """Makes the parser when the first sentence comes: whoever brings graphs never pays for spaCy."""
-
-    def __init__(self, data: bytes | None) -> None:
-        self._data = data
-        self._lock = threading.Lock()
-        self._parser: GraphParser | None = None
-
-    def __call__(self) -> GraphParser:
-        with self._lock:
-            if self._parser is None:
-                if self._data is None:
-                    raise BundleError("this bundle carries no parser; pass a SemanticGraph instead of a sentence")
-                self._parser = GraphParser(self._data)
-                self._data = None
-            return self._parser
 
 
 def _finite(values: FloatArray, stage: str) -> FloatArray:

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import threading
 from typing import Any, Final
 
-from kinegraph.errors import BundleFormatError, InvalidInputError, MissingExtraError
+from kinegraph.errors import BundleError, BundleFormatError, InvalidInputError, MissingExtraError
 from kinegraph.graph import Action, Argument, SemanticGraph
 from kinegraph.limits import MAX_NODES, MAX_TEXT
 from kinegraph.text import lexicon
@@ -98,6 +99,24 @@ class GraphParser:
         frames = [frame(token) for token in doc if is_action(token)] or [fallback_frame(doc)]
         cover(doc, frames)
         return assembled(caption, doc, frames)
+
+
+class LazyParser:
+    """Makes the parser when the first sentence comes: whoever brings graphs never pays for spaCy."""
+
+    def __init__(self, data: bytes | None) -> None:
+        self._data = data
+        self._lock = threading.Lock()
+        self._parser: GraphParser | None = None
+
+    def __call__(self) -> GraphParser:
+        with self._lock:
+            if self._parser is None:
+                if self._data is None:
+                    raise BundleError("this bundle carries no parser; pass a SemanticGraph instead of a sentence")
+                self._parser = GraphParser(self._data)
+                self._data = None
+            return self._parser
 
 
 def check_caption(caption: object) -> None:

@@ -1,0 +1,125 @@
+"""What a composition is made of, checked before any model runs."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from numbers import Real
+from typing import Final
+
+from kinegraph.errors import InvalidInputError
+from kinegraph.graph import SemanticGraph
+from kinegraph.limits import MAX_CONCEPTS
+from kinegraph.text.parser import check_caption
+
+METHODS: Final = ("latent", "semantic", "fused")
+DEFAULT_LAMBDAS: Final = (0.1, 0.7, 0.2)
+"""Latent-aware, semantic-aware, joint text (EnergyMoGen, section 4.1)."""
+NEGATED: Final = -0.5
+"""Default weight of what must not happen; -1 leaves the motions the model knows."""
+MAX_WEIGHT: Final = 10.0
+MIN_SUM: Final = 0.05
+MAX_RATIO: Final = 5.0
+"""Eq. 9 divides by the sum of the weights: a small or negative one flips or inflates every sign."""
+
+
+@dataclass(frozen=True)
+class Concept:
+    """One motion of a composition.
+
+    Raises:
+        InvalidInputError: no text and no graph, or a weight that is 0, not finite, or beyond 10.
+    """
+
+    text: str | SemanticGraph
+    """A sentence, or its graph."""
+    weight: float = 1.0
+    """How much of it; negative for what must not happen."""
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.text, SemanticGraph):
+            check_caption(self.text)
+        weight = self.weight
+        if isinstance(weight, bool) or not isinstance(weight, Real) or not math.isfinite(weight):
+            raise InvalidInputError(f"the weight of a concept must be a finite number, not {weight!r}")
+        if weight == 0 or abs(weight) > MAX_WEIGHT:
+            raise InvalidInputError(
+                f"the weight of a concept must be -{MAX_WEIGHT:g} to {MAX_WEIGHT:g} and not 0, not {weight:g}; "
+                "leave out what counts for nothing"
+            )
+
+    @property
+    def caption(self) -> str:
+        """Its sentence."""
+        return self.text.caption if isinstance(self.text, SemanticGraph) else self.text
+
+
+def checked_concepts(concepts: object) -> tuple[Concept, ...]:
+    """A list of concepts; plain sentences and graphs count with weight 1.
+
+    Raises:
+        InvalidInputError: none, too many, or only negations.
+    """
+    if isinstance(concepts, str | SemanticGraph | Concept) or not isinstance(concepts, Sequence):
+        raise InvalidInputError("concepts must be a list of Concept(text, weight)")
+    if not 1 <= len(concepts) <= MAX_CONCEPTS:
+        raise InvalidInputError(f"a composition has 1 to {MAX_CONCEPTS} concepts, not {len(concepts)}")
+    found = tuple(item if isinstance(item, Concept) else Concept(item) for item in concepts)
+    if all(concept.weight < 0 for concept in found):
+        raise InvalidInputError("all concepts are negated; add one with a positive weight: what should happen instead")
+    return found
+
+
+def checked_lambdas(
+    method: object, lambdas: object, text: object, concepts: Sequence[Concept]
+) -> tuple[float, float, float]:
+    """Shares of the latent-aware, semantic-aware and joint-text terms.
+
+    Raises:
+        InvalidInputError: an unknown method, a joint text or shares for another method than "fused", shares that are
+            no three numbers from 0 to 1 with sum 1, or weights that Eq. 9 cannot divide by.
+    """
+    if method not in METHODS:
+        raise InvalidInputError(f"method must be one of {', '.join(METHODS)}, not {method!r}")
+    for name, value in (("lambdas", lambdas), ("text", text)):
+        if value is not None and method != "fused":
+            raise InvalidInputError(f"{name} is for method 'fused'; method {method!r} has none")
+    shares = {"latent": (1.0, 0.0, 0.0), "semantic": (0.0, 1.0, 0.0), "fused": _shares(lambdas)}[str(method)]
+    if shares[1]:
+        total = sum(concept.weight for concept in concepts)
+        size = sum(abs(concept.weight) for concept in concepts)
+        if total < MIN_SUM or size > MAX_RATIO * total:
+            raise InvalidInputError(
+                f"the weights sum to {total:g} and their sizes to {size:g}; the semantic-aware term divides by the "
+                f"sum, which must be at least {MIN_SUM:g} and a {MAX_RATIO:g}th of the sizes: make the negations "
+                "weaker, or use method 'latent'"
+            )
+    return shares
+
+
+def _shares(lambdas: object) -> tuple[float, float, float]:
+    if lambdas is None:
+        return DEFAULT_LAMBDAS
+    wrong = f"lambdas must be three numbers from 0 to 1 that sum to 1, not {lambdas!r}"
+    if not isinstance(lambdas, list | tuple) or len(lambdas) != 3:
+        raise InvalidInputError(wrong)
+    for value in lambdas:
+        if isinstance(value, bool) or not isinstance(value, int | float) or not 0 <= value <= 1:
+            raise InvalidInputError(wrong)
+    if abs(sum(lambdas) - 1.0) > 1e-6:
+        raise InvalidInputError(f"{wrong}, which sums to {sum(lambdas):g}")
+    latent, semantic, joint = (float(value) for value in lambdas)
+    return latent, semantic, joint
+
+
+def joint_caption(concepts: Sequence[Concept]) -> str | SemanticGraph:
+    """One sentence for all that should happen; a single positive concept speaks for itself, edits included.
+
+    The models never saw a negation in a caption, so negated concepts are not named.
+    """
+    positive = [concept for concept in concepts if concept.weight > 0]
+    captions = list(dict.fromkeys(concept.caption.strip().rstrip(".!;, ") for concept in positive))
+    if len(captions) == 1:
+        return positive[0].text
+    return " while ".join(captions)

@@ -1,0 +1,97 @@
+"""Composing predictions of one step (EnergyMoGen, Eq. 7-10) around the step graph's `src` and `combine`.
+
+n concepts with weights w_i, guidance scale s, unconditional prediction eps_0 (no text, the shared coarser latent):
+
+    latent-aware    eps^l = eps_0 + s sum_i w_i (eps_i - eps_0)              Eq. 7 (w_i > 0), Eq. 8 (w_i < 0)
+    semantic-aware  eps^s = eps_0 + s (eps(z') - eps_0)
+                    z' = sum_i w_i z'_i / sum_i w_i in every cross-attention  Eq. 9
+    joint text      eps^m = eps_0 + s (eps_text - eps_0)
+    fused           lambda_l eps^l + lambda_s eps^s + lambda_m eps^m          Eq. 10
+
+The paper's w_i of Eq. 7 and 8 is our s w_i. Every term is a guided prediction, so that one concept of weight 1 is
+plain guidance for any lambdas that sum to 1. All of it is linear in the rows of one run: a row is a prediction, and
+`mix` holds the coefficient of each.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+FloatArray = NDArray[np.float32]
+IntArray = NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class Wiring:
+    """How A attention rows serve R rows of latents, given K contexts."""
+
+    context: IntArray
+    """(A,) which of the K contexts an attention row attends to."""
+    src: IntArray
+    """(A,) which latent row it reads."""
+    combine: FloatArray
+    """(R, A) how what is attended to goes back into the rows."""
+
+    @staticmethod
+    def straight(count: int) -> Wiring:
+        """Row k attends to context k."""
+        rows = np.arange(count, dtype=np.int64)
+        return Wiring(rows, rows, np.eye(count, dtype=np.float32))
+
+
+@dataclass(frozen=True)
+class Composition:
+    """One level's rows and how their predictions add up."""
+
+    wiring: Wiring
+    mix: FloatArray
+    """(R,) coefficients; they sum to 1."""
+
+
+def composition(weights: Sequence[float], lambdas: tuple[float, float, float], scale: float) -> Composition:
+    """Rows for the terms whose lambda is not 0.
+
+    Contexts are numbered 0 for no text, 1 .. n for the concepts, n + 1 for the joint text. Rows come in the same
+    order, with the semantic row before that of the joint text.
+
+    Args:
+        weights: w_1 .. w_n.
+        lambdas: of the latent-aware, the semantic-aware and the joint-text term.
+        scale: guidance s of the level.
+    """
+    latent, semantic, joint = lambdas
+    w = np.asarray(weights, dtype=np.float64)
+    concepts = np.arange(1, len(w) + 1)
+    rows: list[list[tuple[int, float]]] = [[(0, 1.0)]]
+    mix = [0.0]
+    if latent:
+        rows += [[(int(concept), 1.0)] for concept in concepts]
+        mix += list(scale * latent * w)
+    if semantic:
+        shares = w / w.sum()
+        rows.append([(int(concept), float(share)) for concept, share in zip(concepts, shares, strict=True)])
+        mix.append(scale * semantic)
+    if joint:
+        rows.append([(len(w) + 1, 1.0)])
+        mix.append(scale * joint)
+    mix[0] = 1.0 - sum(mix)
+    return Composition(_wiring(rows), np.array(mix, dtype=np.float32))
+
+
+def _wiring(rows: Sequence[Sequence[tuple[int, float]]]) -> Wiring:
+    """One attention row per (context, share) of each latent row."""
+    pairs = [(row, context, share) for row, parts in enumerate(rows) for context, share in parts]
+    combine = np.zeros((len(rows), len(pairs)), dtype=np.float32)
+    for place, (row, _, share) in enumerate(pairs):
+        combine[row, place] = share
+    context, src = (np.array([pair[which] for pair in pairs], dtype=np.int64) for which in (1, 0))
+    return Wiring(context, src, combine)
+
+
+def mixed(predictions: FloatArray, mix: FloatArray) -> FloatArray:
+    """sum_r mix_r eps_r: (R, C, z), (R,) -> (1, C, z)."""
+    return np.tensordot(mix, predictions, axes=1).astype(np.float32)[None]

@@ -1,0 +1,68 @@
+"""The denoiser of one level, ready for the steps of one sample: what is constant over the steps is computed once."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+
+import numpy as np
+import onnxruntime
+from numpy.typing import NDArray
+
+from kinegraph.conditions import Conditions
+from kinegraph.diffusion.composition import Wiring
+
+FloatArray = NDArray[np.float32]
+
+RowNetwork = Callable[[FloatArray, int], FloatArray]
+"""(latents (R, C, z), step number) -> noise (R, C, z)."""
+
+
+def time_embedding(
+    tables: Mapping[str, FloatArray], level: str, timesteps: NDArray[np.int64], frames: NDArray[np.int64]
+) -> FloatArray:
+    """Of every step and row: (steps, R, 1, d); frames: (R,)."""
+    embedded: FloatArray = (
+        tables[f"time_{level}"][timesteps][:, None, None, :] + tables[f"length_{level}"][frames][None, :, None, :]
+    )
+    return embedded
+
+
+def row_network(
+    context: onnxruntime.InferenceSession,
+    step: onnxruntime.InferenceSession,
+    known: Conditions,
+    coarse: FloatArray | None,
+    wiring: Wiring,
+    temb: FloatArray,
+) -> RowNetwork:
+    """Noise predictions of R rows, for one level.
+
+    Args:
+        context: session of context_{level}.
+        step: session of step_{level}.
+        known: K conditions.
+        coarse: (K, C', z') latent of the level above for each of them.
+        wiring: of contexts and rows.
+        temb: (steps, R, 1, d), see `time_embedding`.
+    """
+    feeds = {"nodes": known.nodes, "kind": known.kind, "order": known.order}
+    bias = known.bias
+    if coarse is not None:
+        feeds["coarse"] = coarse
+        bias = np.concatenate([bias, np.zeros(coarse.shape[:2], dtype=np.float32)], axis=1)
+    names = [output.name for output in context.get_outputs()]
+    keys_values = context.run(names, feeds)
+    tokens = step.get_inputs()[0].shape[1]
+    spread = np.repeat(bias[wiring.context][:, None, None, :], tokens, axis=2)
+    constant = {
+        **{name: value[wiring.context] for name, value in zip(names, keys_values, strict=True)},
+        "src": wiring.src,
+        "combine": wiring.combine,
+        "bias": spread,
+    }
+
+    def predict(latents: FloatArray, number: int) -> FloatArray:
+        noise: FloatArray = step.run(["noise"], {"latent": latents, "temb": temb[number], **constant})[0]
+        return noise
+
+    return predict

@@ -1,0 +1,199 @@
+"""Composition by the default bundle: the identities that users may rely on, and bad input before any model runs."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from cli_runs import fails
+
+from kinegraph import Concept, InvalidInputError, MotionPipeline
+from kinegraph.bundle import DEFAULT_BUNDLE
+from kinegraph.cli_input import weighted
+from kinegraph.concepts import checked_concepts, checked_lambdas, joint_caption
+from kinegraph.diffusion.sampler import StepInfo
+
+needs_default = pytest.mark.skipif(not (DEFAULT_BUNDLE / "manifest.json").is_file(), reason="no default bundle")
+pytest.importorskip("spacy")
+
+FEW: dict[str, Any] = {"steps": (3, 3, 4), "seconds": 2, "seed": 5}
+WALK, WAVE = "a person walks forward", "a person waves the right hand"
+EVERY = [
+    {"method": "latent"}, {"method": "semantic"}, {"method": "fused"},
+    {"method": "fused", "lambdas": (0.5, 0.2, 0.3)}, {"method": "fused", "lambdas": (0.0, 0.0, 1.0)},
+]  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def pipe() -> MotionPipeline:
+    if not (DEFAULT_BUNDLE / "manifest.json").is_file():
+        pytest.skip("no default bundle")
+    return MotionPipeline.load(threads=1)
+
+
+@pytest.mark.parametrize("how", EVERY, ids=str)
+def test_one_concept_of_weight_one_is_generate(pipe: MotionPipeline, how: dict[str, Any]) -> None:
+    plain = pipe.generate(WALK, **FEW)
+    np.testing.assert_allclose(pipe.compose([Concept(WALK)], **how, **FEW).joints, plain.joints, atol=1e-4)
+
+
+@pytest.mark.parametrize("method", ["latent", "semantic", "fused"])
+def test_the_order_of_concepts_does_not_matter(pipe: MotionPipeline, method: str) -> None:
+    how = {"method": method, **({"text": f"{WALK} and waves"} if method == "fused" else {})}
+    concepts = [Concept(WALK), Concept(WAVE, 0.7), Concept("a person runs", -0.4)]
+    one, other = (pipe.compose(order, **how, **FEW).joints for order in (concepts, concepts[::-1]))
+    np.testing.assert_allclose(one, other, atol=1e-4)
+
+
+@pytest.mark.parametrize("method", ["latent", "semantic", "fused"])
+def test_a_concept_twice_at_half_weight_counts_once(pipe: MotionPipeline, method: str) -> None:
+    how = {"method": method, **({"text": f"{WALK} and waves"} if method == "fused" else {})}
+    whole = pipe.compose([Concept(WALK), Concept(WAVE)], **how, **FEW).joints
+    halves = pipe.compose([Concept(WALK, 0.5), Concept(WAVE), Concept(WALK, 0.5)], **how, **FEW).joints
+    np.testing.assert_allclose(whole, halves, atol=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("lambdas", "same"), [((1.0, 0.0, 0.0), {"method": "latent"}), ((0.0, 1.0, 0.0), {"method": "semantic"})]
+)
+def test_fusion_with_one_share_is_that_term(
+    pipe: MotionPipeline, lambdas: tuple[float, float, float], same: dict[str, str]
+) -> None:
+    concepts = [Concept(WALK), Concept(WAVE)]
+    fused = pipe.compose(concepts, lambdas=lambdas, **FEW).joints
+    np.testing.assert_allclose(fused, pipe.compose(concepts, **same, **FEW).joints, atol=1e-4)
+    text = pipe.compose(concepts, lambdas=(0.0, 0.0, 1.0), text="someone bows", **FEW).joints
+    np.testing.assert_allclose(text, pipe.generate("someone bows", **FEW).joints, atol=1e-4)
+
+
+def test_methods_differ_and_weights_matter(pipe: MotionPipeline) -> None:
+    concepts = [Concept(WALK), Concept(WAVE)]
+    latent, semantic = (pipe.compose(concepts, method=each, **FEW).joints for each in ("latent", "semantic"))
+    assert not np.allclose(latent, semantic, atol=1e-3)
+    lighter = pipe.compose([Concept(WALK), Concept(WAVE, 0.2)], method="latent", **FEW).joints
+    assert not np.allclose(latent, lighter, atol=1e-3)
+
+
+class Counted:
+    """A session that tells when it runs."""
+
+    def __init__(self, session: Any, runs: list[Any]) -> None:
+        self.session, self.runs = session, runs
+
+    def run(self, *arguments: Any) -> Any:
+        self.runs.append(self.session)
+        return self.session.run(*arguments)
+
+    def get_inputs(self) -> Any:
+        return self.session.get_inputs()
+
+
+def test_one_run_per_step(pipe: MotionPipeline, monkeypatch: pytest.MonkeyPatch) -> None:
+    runs: list[Any] = []
+    counted = {level: Counted(session, runs) for level, session in pipe._sessions.step.items()}
+    monkeypatch.setattr(pipe, "_sessions", dataclasses.replace(pipe._sessions, step=counted))
+    seen: list[StepInfo] = []
+    concepts = [WALK, WAVE, Concept("a person runs", -0.5)]
+    pipe.compose(concepts, on_step=lambda info: bool(seen.append(info)) or True, **FEW)
+    assert len(runs) == len(seen) == 10
+
+
+def test_edited_graphs_are_concepts_too(pipe: MotionPipeline) -> None:
+    graph = pipe.parse(WALK)
+    found = pipe.compose([Concept(graph), WAVE], method="latent", **FEW)
+    np.testing.assert_array_equal(found.joints, pipe.compose([WALK, WAVE], method="latent", **FEW).joints)
+    assert found.text == f"{WALK} while {WAVE}"
+
+
+BAD: list[tuple[Any, dict[str, Any], str]] = [
+    ([], {}, "1 to 8 concepts, not 0"),
+    ([WALK] * 9, {}, "1 to 8 concepts, not 9"),
+    (WALK, {}, "list of Concept"),
+    ([Concept(WALK, -1)], {}, "negated"),
+    ([WALK], {"method": "sum"}, "'sum'"),
+    ([WALK], {"lambdas": (0.5, 0.5, 0.5)}, "sums to 1.5"),
+    ([WALK], {"lambdas": (1.5, -0.5, 0.0)}, "from 0 to 1"),
+    ([WALK], {"lambdas": (float("nan"), 0.5, 0.5)}, "from 0 to 1"),
+    ([WALK], {"lambdas": (1.0,)}, "three numbers"),
+    ([WALK], {"lambdas": "abc"}, "three numbers"),
+    ([WALK], {"method": "latent", "lambdas": (1.0, 0.0, 0.0)}, "lambdas is for"),
+    ([WALK], {"method": "latent", "text": "a person walks"}, "text is for"),
+    ([WALK, Concept(WAVE, -1)], {}, "sum to 0"),
+    ([WALK, Concept(WAVE, -0.7)], {"method": "semantic"}, "make the negations weaker"),
+    ([WALK], {"seconds": float("inf")}, "seconds"),
+    ([WALK], {"text": " "}, "caption"),
+]
+
+
+@pytest.mark.parametrize(("concepts", "options", "message"), BAD)
+def test_bad_input_is_refused_before_a_model_runs(
+    pipe: MotionPipeline, monkeypatch: pytest.MonkeyPatch, concepts: Any, options: dict[str, Any], message: str
+) -> None:
+    def never(*_: object) -> None:
+        raise AssertionError("a model ran")
+
+    monkeypatch.setattr(pipe, "_arrays", never)
+    with pytest.raises(InvalidInputError, match=message):
+        pipe.compose(concepts, **options)
+
+
+@pytest.mark.parametrize("weight", [0, float("nan"), float("inf"), 11, -11, "1", None, True])
+def test_a_weight_that_is_none_is_refused(weight: Any) -> None:
+    with pytest.raises(InvalidInputError, match="weight"):
+        Concept(WALK, weight)
+
+
+@pytest.mark.parametrize("text", ["", "…", None, 5])
+def test_a_concept_without_words_is_refused(text: Any) -> None:
+    with pytest.raises(InvalidInputError, match="caption"):
+        Concept(text)
+
+
+def test_latent_negation_needs_no_positive_sum() -> None:
+    concepts = checked_concepts([WALK, Concept(WAVE, -1)])
+    assert checked_lambdas("latent", None, None, concepts) == (1.0, 0.0, 0.0)
+
+
+def test_the_joint_sentence_names_what_should_happen() -> None:
+    concepts = checked_concepts(["A person walks.", Concept("a person runs", -0.5), "a person waves", "A person walks"])
+    assert joint_caption(concepts) == "A person walks while a person waves"
+    assert joint_caption(concepts[:2]) == "A person walks."
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [("walks", ("walks", None)), ("walks:0.8", ("walks", 0.8)), ("a: b", ("a: b", None)), ("a:b:2", ("a:b", 2.0))],
+)
+def test_a_number_after_a_colon_is_a_weight(text: str, expected: tuple[str, float | None]) -> None:
+    assert weighted(text) == expected
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["-o", "x.npz"], "1 to 8 concepts"),
+        (["--not", "a person runs", "-o", "x.npz"], "negated"),
+        (["--and", "a person walks:nan", "-o", "x.npz"], "nan"),
+        (["--and", "a person walks", "--method", "sum", "-o", "x.npz"], "'sum'"),
+        (["--and", "a person walks", "-o", "x.mp3"], "mp3"),
+    ],
+)
+def test_the_command_line_says_what_is_wrong(
+    capsys: pytest.CaptureFixture[str], here: Path, arguments: list[str], message: str
+) -> None:
+    assert message in fails(capsys, "compose", *arguments)
+    assert not list(here.iterdir())
+
+
+@needs_default
+def test_the_command_line_composes(capsys: pytest.CaptureFixture[str], here: Path) -> None:
+    from kinegraph import cli
+
+    words = ["--and", WALK, "--and", f"{WAVE}:0.8", "--not", "a person runs", "--steps", "2", "--seconds", "1"]
+    assert cli.main(["compose", *words, "--seed", "3", "-o", "x.npz"]) == 0
+    assert "x.npz: 20 frames" in capsys.readouterr().out
+    with np.load(here / "x.npz") as stored:
+        assert str(stored["text"]) == f"{WALK} while {WAVE}"

@@ -1,0 +1,114 @@
+"""Eq. 7-10 as rows of one run, against the equations written out on predictions and attention of loops."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from kinegraph.diffusion.composition import Composition, Wiring, composition, mixed
+
+TOKENS, WIDTH, KEYS = 3, 4, 5
+
+
+def contexts(count: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
+    return tuple(np.random.default_rng(seed).standard_normal((2, count, KEYS, WIDTH)))  # type: ignore[return-value]
+
+
+def attention(x: np.ndarray, key: np.ndarray, value: np.ndarray) -> np.ndarray:
+    scores = np.exp(x @ key.T / np.sqrt(WIDTH))
+    return scores / scores.sum(-1, keepdims=True) @ value
+
+
+LAYERS = 3
+
+
+def layer(x: np.ndarray, attended: np.ndarray, number: int) -> np.ndarray:
+    """Nonlinear, so that averaging outputs is not averaging inside."""
+    return np.tanh(x + attended + 0.1 * number)
+
+
+def network(latent: np.ndarray, shares: dict[int, float], keys: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """One prediction whose attention is averaged over contexts, layer by layer: Eq. 9 by loops."""
+    x = latent
+    for number in range(LAYERS):
+        attended = sum(share * attention(x, keys[k], values[k]) for k, share in shares.items())
+        x = layer(x, attended, number)
+    return x
+
+
+def wired(latent: np.ndarray, plan: Composition, keys: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """The step graph's way: attention rows from latent rows by `src`, mixed back by `combine`."""
+    wiring = plan.wiring
+    x = np.repeat(latent[None], len(plan.mix), axis=0)
+    for number in range(LAYERS):
+        rows = [
+            attention(x[source], keys[context], values[context])
+            for source, context in zip(wiring.src, wiring.context, strict=True)
+        ]
+        x = layer(x, np.tensordot(wiring.combine, np.stack(rows), axes=1), number)
+    return mixed(x.astype(np.float32), plan.mix)[0]
+
+
+def equations(
+    latent: np.ndarray, w: list[float], lambdas: tuple[float, float, float], s: float, k: np.ndarray, v: np.ndarray
+) -> np.ndarray:
+    """Eq. 7, 8, 9 and 10 as they are printed."""
+
+    def eps(shares: dict[int, float]) -> np.ndarray:
+        return network(latent, shares, k, v)
+
+    null = eps({0: 1.0})
+    by_latent = null + s * sum(weight * (eps({i: 1.0}) - null) for i, weight in enumerate(w, start=1))
+    by_meaning = null + s * (eps({i: weight / sum(w) for i, weight in enumerate(w, start=1)}) - null)
+    by_text = null + s * (eps({len(w) + 1: 1.0}) - null)
+    return lambdas[0] * by_latent + lambdas[1] * by_meaning + lambdas[2] * by_text
+
+
+LAMBDAS = [(1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0), (0.1, 0.7, 0.2), (0.5, 0.5, 0.0)]
+
+
+@pytest.mark.parametrize("lambdas", LAMBDAS)
+@pytest.mark.parametrize("weights", [[1.0], [0.8, 1.3], [1.0, 1.0, -0.5], [2.0, -0.3, 0.4, 0.1]])
+@pytest.mark.parametrize("scale", [1.0, 2.5])
+def test_one_run_is_the_equations(lambdas: tuple[float, float, float], weights: list[float], scale: float) -> None:
+    keys, values = contexts(len(weights) + 2, seed=len(weights))
+    latent = np.random.default_rng(9).standard_normal((TOKENS, WIDTH))
+    found = wired(latent, composition(weights, lambdas, scale), keys, values)
+    np.testing.assert_allclose(found, equations(latent, weights, lambdas, scale, keys, values), atol=1e-5)
+
+
+@given(
+    st.lists(st.floats(-1, 3).filter(lambda w: abs(w) > 0.01), min_size=1, max_size=8).filter(lambda w: sum(w) > 0.1),
+    st.sampled_from(LAMBDAS),
+    st.floats(0, 10),
+)
+def test_coefficients_sum_to_one(weights: list[float], lambdas: tuple[float, float, float], scale: float) -> None:
+    # What all rows agree on is what comes out.
+    plan = composition(weights, lambdas, scale)
+    assert plan.mix.sum() == pytest.approx(1.0, abs=1e-3 * float(1 + np.abs(plan.mix).sum()))
+    wiring = plan.wiring
+    assert wiring.combine.shape == (len(plan.mix), len(wiring.src)) == (len(plan.mix), len(wiring.context))
+    np.testing.assert_allclose(wiring.combine.sum(axis=1), 1.0, atol=1e-4)
+
+
+@pytest.mark.parametrize("lambdas", LAMBDAS)
+def test_one_concept_of_weight_one_is_plain_guidance(lambdas: tuple[float, float, float]) -> None:
+    keys, values = contexts(3, seed=4)
+    keys[2], values[2] = keys[1], values[1]  # the joint text of one concept is that concept
+    latent = np.random.default_rng(5).standard_normal((TOKENS, WIDTH))
+    found = wired(latent, composition([1.0], lambdas, 2.5), keys, values)
+    null, text = (network(latent, {k: 1.0}, keys, values) for k in (0, 1))
+    np.testing.assert_allclose(found, null + 2.5 * (text - null), atol=1e-5)
+
+
+def test_rows_that_count_for_nothing_are_not_run() -> None:
+    rows = {lambdas: len(composition([1.0, 1.0], lambdas, 2.0).mix) for lambdas in LAMBDAS}
+    assert rows == dict(zip(LAMBDAS, [3, 2, 2, 5, 4], strict=True))
+
+
+def test_straight_wiring_keeps_rows_apart() -> None:
+    wiring = Wiring.straight(3)
+    assert wiring.src.tolist() == wiring.context.tolist() == [0, 1, 2]
+    np.testing.assert_array_equal(wiring.combine, np.eye(3))
