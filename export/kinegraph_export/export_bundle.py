@@ -41,6 +41,7 @@ from kinegraph.motion.skeleton import JOINT_NAMES, PARENTS
 from kinegraph.onnx_ops import summarise
 from kinegraph.options import generate_options
 from kinegraph.pipeline import MotionPipeline
+from kinegraph.tables import DURATION
 from kinegraph.text.roles import ROLES
 from kinegraph_export.checkpoints import read_run
 from kinegraph_export.graphs import Trained, export_graphs, level_specs
@@ -49,6 +50,7 @@ from kinegraph_export.parity import ParityError
 from kinegraph_export.pipeline_parity import Request, torch_joints
 from kinegraph_export.sources import MINILM, SPACY_MODEL
 from kinegraph_training.caption_graphs import ASSETS
+from kinegraph_training.duration import read_duration
 from kinegraph_training.latents import TrainedVae
 
 PROMPTS = (
@@ -86,10 +88,10 @@ class Card:
             raise InvalidInputError(f"{path} is no bundle card: {error}") from error
 
 
-def table_file(trained: Trained) -> bytes:
-    """tables.npz of all levels."""
+def table_file(trained: Trained, duration: np.ndarray | None) -> bytes:
+    """tables.npz of all levels, with the duration model of the run if it has one."""
     config = trained.hierarchy.config
-    arrays = {}
+    arrays = {} if duration is None else {DURATION: duration}
     for level in LEVELS:
         time, length = tables(trained.hierarchy.levels[level].clock, config.train_steps, config.max_frames)
         arrays |= {f"time_{level}": time.numpy(), f"length_{level}": length.numpy()}
@@ -159,7 +161,7 @@ def pipeline_difference(folder: Path, trained: Trained, own: TrainedVae) -> floa
     for seed, prompt in enumerate(PROMPTS):
         graph = pipe.parse(prompt)
         clip = pipe.generate(graph, seed=seed)
-        options = generate_options(pipe.manifest, seed=seed)
+        options = generate_options(pipe.manifest, seed=seed, seconds=clip.frames / clip.fps)
         plans = [LevelPlan(name, spec.tokens, spec.latent_width, 1) for name, spec in pipe.manifest.levels.items()]
         request = Request(clip.frames, initial_noise(seed, plans), dict(options.steps), dict(options.guidance))
         expected = torch_joints(trained, pipe._arrays(graph), request, own.mean, own.std)
@@ -176,7 +178,8 @@ def export_bundle(run: Path, assets: Path, card: Card, out: Path) -> Manifest:
     """
     trained, own = read_run(run)
     graphs, parity = export_graphs(trained, trained.hierarchy.config.text_width, len(own.mean))
-    files = {name: (assets / name).read_bytes() for name in ASSETS} | graphs | {"tables.npz": table_file(trained)}
+    tables_file = table_file(trained, read_duration(run))
+    files = {name: (assets / name).read_bytes() for name in ASSETS} | graphs | {"tables.npz": tables_file}
     draft = manifest_of(card, trained, own, files, parity)
     if out.exists() and not (out / "manifest.json").is_file():
         raise OutputError(f"{out} exists and is not a bundle; name another folder")

@@ -113,7 +113,7 @@ def _add_sampling(parser: argparse.ArgumentParser) -> None:
         metavar="FILE",
         help="the suffix says the format: .npz, .bvh",
     )
-    parser.add_argument("--seconds", type=float, metavar="S", help="length; default and limits are the bundle's")
+    parser.add_argument("--seconds", type=float, metavar="S", help="length; without it the sentence decides")
     parser.add_argument("--seed", type=int, help="the same seed gives the same clip; default: a new one")
     parser.add_argument(
         "--steps", type=level_steps, metavar="N[,N,N]", help="diffusion steps: one number, or one per level"

@@ -6,6 +6,7 @@ text -> graph -> node features -> graph attention -> motion -> action -> specifi
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -25,25 +26,23 @@ from kinegraph.conditions import (
     stacked,
 )
 from kinegraph.contract import LEVELS
+from kinegraph.decoding import decode, finite
 from kinegraph.diffusion.composition import Composition, Wiring, composition, mixed
 from kinegraph.diffusion.ddim import DdimCoefficients
 from kinegraph.diffusion.guidance import guided
 from kinegraph.diffusion.sampler import LevelPlan, OnStep, Predict, PredictorFor, coarse_to_fine, initial_noise
-from kinegraph.errors import NonFiniteError
+from kinegraph.duration import expected_frames
 from kinegraph.graph import SemanticGraph
 from kinegraph.manifest import Manifest
 from kinegraph.motion.clip import Clip
-from kinegraph.motion.features import joints_from_features
-from kinegraph.motion.humanml3d import joints_from_humanml3d
 from kinegraph.network import RowNetwork, row_network, time_embedding
 from kinegraph.options import GenerateOptions, Guidance, Steps, generate_options
 from kinegraph.sessions import Sessions, open_sessions
+from kinegraph.tables import DURATION
 from kinegraph.text.parser import LazyParser, check_caption
 from kinegraph.text.tokens import CaptionTokenizer
 
 FloatArray = NDArray[np.float32]
-
-_TO_JOINTS = {"joints-137": joints_from_features, "humanml3d-263": joints_from_humanml3d}
 
 
 class MotionPipeline:
@@ -113,7 +112,7 @@ class MotionPipeline:
 
         Args:
             text: a sentence, or its graph.
-            seconds: length; None is the bundle's default.
+            seconds: length; None lets the sentence decide, as far as the bundle knows how long such motions take.
             seed: of the noise, 0 to 2**63 - 1; None draws one, to be found in the clip.
             steps: diffusion steps, one number or one per level.
             guidance: how strictly the text is followed, one number or one per level.
@@ -126,9 +125,14 @@ class MotionPipeline:
         """
         options = generate_options(self.manifest, seconds=seconds, seed=seed, steps=steps, guidance=guidance)
         graph = text if isinstance(text, SemanticGraph) else self.parse(text)
-        encoded = self._encode([self._arrays(graph)])
+        arrays = [self._arrays(graph)]
+        if seconds is None:
+            options = self._with_own_length(options, arrays)
+        encoded = self._encode(arrays)
         latent = self._sample(encoded, [options], on_step)
-        return self._clip(self._decode(latent, [options])[0], options, graph.caption)
+        return self._clip(
+            decode(self._sessions.decoder, self.manifest, latent, [options.frames])[0], options, graph.caption
+        )
 
     def compose(
         self,
@@ -163,7 +167,11 @@ class MotionPipeline:
         joint = joint_caption(found) if text is None else text
         wanted = [concept.text for concept in found] + ([joint] if shares[2] else [])
         graphs = [each if isinstance(each, SemanticGraph) else self.parse(each) for each in wanted]
-        encoded = self._encode([self._arrays(graph) for graph in graphs])
+        arrays = [self._arrays(graph) for graph in graphs]
+        if seconds is None:
+            wanted_ones = [one for one, concept in zip(arrays, found, strict=False) if concept.weight > 0]
+            options = self._with_own_length(options, wanted_ones)
+        encoded = self._encode(arrays)
         weights = [concept.weight for concept in found]
 
         def predictor_for(number: int, times: DdimCoefficients, coarse: FloatArray | None) -> Predict:
@@ -173,7 +181,15 @@ class MotionPipeline:
 
         latent = self._sampled([options], predictor_for, on_step)
         caption = joint.caption if isinstance(joint, SemanticGraph) else joint
-        return self._clip(self._decode(latent, [options])[0], options, caption)
+        return self._clip(decode(self._sessions.decoder, self.manifest, latent, [options.frames])[0], options, caption)
+
+    def _with_own_length(self, options: GenerateOptions, arrays: Sequence[GraphArrays]) -> GenerateOptions:
+        """The length that the longest of some sentences asks for; as it is, where the bundle cannot tell."""
+        if DURATION not in self._tables:
+            return options
+        limits = self.manifest.frames
+        frames = expected_frames(self._tables[DURATION], arrays, limits.min, limits.max)
+        return replace(options, frames=frames, seconds=frames / self.manifest.fps)
 
     def _clip(self, joints: FloatArray, options: GenerateOptions, text: str) -> Clip:
         bundle = f"{self.manifest.name} {self.manifest.version}"
@@ -188,7 +204,7 @@ class MotionPipeline:
     def _encode(self, arrays: Sequence[GraphArrays]) -> Conditions:
         """Graph attention over a batch of graphs."""
         (nodes,) = self._sessions.graph_encoder.run(["nodes_out"], padded(arrays))
-        return conditions(arrays, _finite(nodes, "the graph encoder"))
+        return conditions(arrays, finite(nodes, "the graph encoder"))
 
     def _sample(self, encoded: Conditions, options: Sequence[GenerateOptions], on_step: OnStep | None) -> FloatArray:
         """Latents of the finest level, (B, C, z); all samples of a batch share steps and guidance."""
@@ -263,24 +279,3 @@ class MotionPipeline:
     ) -> RowNetwork:
         temb = time_embedding(self._tables, name, times.timesteps, frames)
         return row_network(self._sessions.context[name], self._sessions.step[name], known, coarse, wiring, temb)
-
-    def _decode(self, latent: FloatArray, options: Sequence[GenerateOptions]) -> list[FloatArray]:
-        """Joints (frames, 22, 3) of every sample."""
-        manifest = self.manifest
-        group = manifest.frames.per_token
-        longest = -(-max(each.frames for each in options) // group) * group
-        frame_mask = np.zeros((len(options), longest), dtype=np.float32)
-        for row, each in enumerate(options):
-            frame_mask[row, : each.frames] = 1.0
-        feeds = {"latent": latent, "frame_mask": frame_mask}
-        (features,) = self._sessions.decoder.run(["features"], feeds)
-        mean, std = (np.array(part, dtype=np.float32) for part in (manifest.features.mean, manifest.features.std))
-        raw = _finite(features, "the decoder") * std + mean
-        to_joints = _TO_JOINTS[manifest.features.layout]
-        return [to_joints(rows[: each.frames]) for rows, each in zip(raw, options, strict=True)]
-
-
-def _finite(values: FloatArray, stage: str) -> FloatArray:
-    if not np.isfinite(values).all():
-        raise NonFiniteError(f"{stage} produced NaN or infinity; the bundle's weights are broken")
-    return values

@@ -1,4 +1,5 @@
-"""`tables.npz`: the embeddings of time and length, computed at export because no sample changes them."""
+"""`tables.npz`: the embeddings of time and length, computed at export because no sample changes them, and the weights
+that tell a clip's length (`kinegraph.duration`), which a bundle may lack."""
 
 from __future__ import annotations
 
@@ -12,23 +13,26 @@ from typing import Final
 import numpy as np
 
 from kinegraph.contract import LEVELS
+from kinegraph.duration import EXTRA
 from kinegraph.errors import BundleFormatError
 from kinegraph.manifest import Manifest
 from kinegraph.motion.skeleton import FloatArray
 
 FILE: Final = "tables.npz"
+DURATION: Final = "duration"
 
 _HEADER_BYTES: Final = 4096
 """More than any .npy header of a two-dimensional array."""
 
 
 def table_shapes(manifest: Manifest) -> dict[str, tuple[int, int]]:
-    """Name -> shape of every array of `tables.npz`; all are float32."""
+    """Name -> shape of every array that `tables.npz` may hold; all are float32 and all but `DURATION` must be there."""
     shapes: dict[str, tuple[int, int]] = {}
     for name in LEVELS:
         width = manifest.levels[name].width
         shapes[f"time_{name}"] = (manifest.schedule.train_steps, width)
         shapes[f"length_{name}"] = (manifest.frames.max + 1, width)
+    shapes[DURATION] = (1, manifest.text.width + EXTRA)
     return shapes
 
 
@@ -45,7 +49,8 @@ def read_tables(data: bytes, manifest: Manifest) -> Mapping[str, FloatArray]:
     try:
         _check_members(data, shapes)
         with np.load(io.BytesIO(data), allow_pickle=False) as archive:
-            return MappingProxyType({name: _table(archive[name], name, shape) for name, shape in shapes.items()})
+            found = {name: shape for name, shape in shapes.items() if name in archive.files}
+            return MappingProxyType({name: _table(archive[name], name, shape) for name, shape in found.items()})
     except (zipfile.BadZipFile, zlib.error, ValueError, OSError, EOFError, KeyError, RuntimeError) as error:
         # RuntimeError: an encrypted member; NotImplementedError (a RuntimeError): an unknown compression.
         raise BundleFormatError(f"{FILE} is not an npz archive of plain arrays: {error}") from error
@@ -56,11 +61,11 @@ def _check_members(data: bytes, shapes: Mapping[str, tuple[int, int]]) -> None:
         found = {member.filename: member.file_size for member in archive.infolist()}
         count = len(archive.infolist())
     expected = {f"{name}.npy" for name in shapes}
-    if set(found) != expected or count != len(expected):
+    if set(found) | {f"{DURATION}.npy"} != expected or count != len(found):
         raise BundleFormatError(f"{FILE} must hold exactly {sorted(shapes)}, found {sorted(found)}")
     for name, (rows, width) in shapes.items():
         # Before unpacking: a small archive can unpack to any size.
-        if found[f"{name}.npy"] > rows * width * 4 + _HEADER_BYTES:
+        if found.get(f"{name}.npy", 0) > rows * width * 4 + _HEADER_BYTES:
             raise BundleFormatError(f"{FILE}: {name} is larger than its shape {(rows, width)} needs")
 
 

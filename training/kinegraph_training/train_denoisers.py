@@ -27,6 +27,7 @@ from kinegraph_training.config import DataConfig, OptimiserConfig, Preset, read_
 from kinegraph_training.data import MotionClip
 from kinegraph_training.dataset import Dataset, training_set, validation_set
 from kinegraph_training.denoiser_batches import DenoiserBatch, DenoiserBatches
+from kinegraph_training.duration import fit_duration, write_duration
 from kinegraph_training.latents import Latents, cached_latents, encode_clips, read_vae
 from kinegraph_training.models.denoiser import DenoiserConfig, LatentShape
 from kinegraph_training.models.hierarchy import Hierarchy
@@ -136,6 +137,9 @@ def batches(arguments: argparse.Namespace, preset: Preset) -> tuple[DataLoader, 
         graphs = caption_states(captions, arguments.assets, arguments.run / "states.npz")
     else:
         graphs = encode_captions(captions, arguments.assets, arguments.run / "captions.npz")
+    if isinstance(graphs, CaptionGraphs):
+        frames = [(graphs.get(caption), len(clip.joints)) for clip in train.clips for caption in clip.captions]
+        write_duration(arguments.run, fit_duration(frames))
     known = cached_latents(arguments.run, train.features, arguments.run / "latents.pt")
     latents = {level: known[level] for level in preset.denoiser.levels}
     val_latents = {}

@@ -1,0 +1,52 @@
+"""From the finest latent to joints in metres."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Final
+
+import numpy as np
+import onnxruntime
+from numpy.typing import NDArray
+
+from kinegraph.errors import NonFiniteError
+from kinegraph.manifest import Manifest
+from kinegraph.motion.features import joints_from_features
+from kinegraph.motion.humanml3d import joints_from_humanml3d
+
+FloatArray = NDArray[np.float32]
+
+_TO_JOINTS: Final = {"joints-137": joints_from_features, "humanml3d-263": joints_from_humanml3d}
+
+
+def decode(
+    decoder: onnxruntime.InferenceSession, manifest: Manifest, latent: FloatArray, frames: Sequence[int]
+) -> list[FloatArray]:
+    """Joints (frames, 22, 3) of every sample.
+
+    Args:
+        decoder: session of the decoder.
+        manifest: of its bundle.
+        latent: (B, C, z) of the finest level.
+        frames: of each sample.
+
+    Raises:
+        NonFiniteError: the decoder produced NaN or infinity.
+    """
+    group = manifest.frames.per_token
+    longest = -(-max(frames) // group) * group
+    frame_mask = np.zeros((len(frames), longest), dtype=np.float32)
+    for row, count in enumerate(frames):
+        frame_mask[row, :count] = 1.0
+    (features,) = decoder.run(["features"], {"latent": latent, "frame_mask": frame_mask})
+    mean, std = (np.array(part, dtype=np.float32) for part in (manifest.features.mean, manifest.features.std))
+    raw = finite(features, "the decoder") * std + mean
+    to_joints = _TO_JOINTS[manifest.features.layout]
+    return [to_joints(rows[:count]) for rows, count in zip(raw, frames, strict=True)]
+
+
+def finite(values: FloatArray, stage: str) -> FloatArray:
+    """The values, if all of them are numbers."""
+    if not np.isfinite(values).all():
+        raise NonFiniteError(f"{stage} produced NaN or infinity; the bundle's weights are broken")
+    return values
