@@ -104,7 +104,10 @@ def bundle(trained: Path) -> Path:
 def test_the_bundle_makes_a_clip_and_states_its_parity(bundle: Path) -> None:
     pipe = MotionPipeline.load(bundle, threads=1)
     clip = pipe.generate("a person walks to the left", seed=1)
-    assert clip.joints.shape == (40, 22, 3) and np.isfinite(clip.joints).all()
+    assert clip.joints.shape[1:] == (22, 3) and np.isfinite(clip.joints).all()
+    # The sentence decides the length: the toy's clips have 40 to 100 frames.
+    assert 35 <= clip.frames <= 110
+    assert pipe.generate("a person walks to the left", seconds=2, seed=1).frames == 40
     parity = pipe.manifest.parity
     assert parity["pipeline_mm"] <= 1.0
     graphs = {name.removesuffix(".onnx") for name in pipe.manifest.files if name.endswith(".onnx")} - {"text_encoder"}
