@@ -27,6 +27,8 @@ class DataConfig:
     """Made clips of one action after another."""
     rare_weight: float = 3.0
     """How much more often the denoisers see clips of contents with fewer than 50 clips."""
+    seed: int = 7
+    """Of the made clips; apart from that of training, so that runs of several seeds share their data."""
 
 
 @dataclass(frozen=True)
@@ -70,20 +72,15 @@ def decoded(kind: type[T], table: dict[str, Any], where: str) -> T:
 
 
 def read_preset(name_or_path: str) -> Preset:
-    """A preset of this package by name, or a TOML file.
+    """A preset of this package by name, or a TOML file; its `base`, if it has one, is a preset that it changes.
 
     Raises:
         InvalidInputError: no such preset, or a table that breaks the format.
     """
-    folder = Path(__file__).parent / "presets"
-    path = Path(name_or_path) if name_or_path.endswith(".toml") else folder / f"{name_or_path}.toml"
-    if not path.is_file():
-        names = ", ".join(sorted(file.stem for file in folder.glob("*.toml")))
-        raise InvalidInputError(f"no preset {name_or_path!r}; presets: {names}, or the path of a .toml file")
-    table = tomllib.loads(path.read_text(encoding="utf-8"))
+    table, name = preset_table(name_or_path)
     vae, training = table["vae"], table["vae_training"]
     return Preset(
-        name=path.stem,
+        name=name,
         seed=table.get("seed", 0),
         data=decoded(DataConfig, table.get("data", {}), "data"),
         vae={level: decoded(VaeConfig, vae["shared"] | vae[level], f"vae.{level}") for level in LEVELS},
@@ -94,3 +91,33 @@ def read_preset(name_or_path: str) -> Preset:
         denoiser=decoded(DenoiserConfig, table["denoiser"], "denoiser"),
         denoiser_training=decoded(OptimiserConfig, table["denoiser_training"], "denoiser_training"),
     )
+
+
+def preset_table(name_or_path: str, depth: int = 0) -> tuple[dict[str, Any], str]:
+    """The tables of a preset on top of those of its base, and its name."""
+    folder = Path(__file__).parent / "presets"
+    path = Path(name_or_path) if name_or_path.endswith(".toml") else folder / f"{name_or_path}.toml"
+    if not path.is_file():
+        names = ", ".join(sorted(file.stem for file in folder.glob("*.toml")))
+        raise InvalidInputError(f"no preset {name_or_path!r}; presets: {names}, or the path of a .toml file")
+    try:
+        table = tomllib.loads(path.read_text(encoding="utf-8"))
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise InvalidInputError(f"{path} is not TOML: {error}") from error
+    base = table.pop("base", None)
+    if base is not None:
+        if depth > 4:
+            raise InvalidInputError(f"{path}: its base leads back to it")
+        # A path is meant from the file that names it.
+        wanted = str(path.parent / base) if base.endswith(".toml") else base
+        table = merged(preset_table(wanted, depth + 1)[0], table)
+    return table, path.stem
+
+
+def merged(base: dict[str, Any], changes: dict[str, Any]) -> dict[str, Any]:
+    """Tables within tables, the changes on top."""
+    both = {**base, **changes}
+    for name in base.keys() & changes.keys():
+        if isinstance(base[name], dict) and isinstance(changes[name], dict):
+            both[name] = merged(base[name], changes[name])
+    return both

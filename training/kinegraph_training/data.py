@@ -18,9 +18,10 @@ from kinegraph.errors import InvalidInputError
 from kinegraph.motion.features import features_from_joints
 from kinegraph.motion.skeleton import FloatArray, mirrored
 
-SWAP = {"left": "right", "right": "left", "leftward": "rightward", "rightward": "leftward", "leftwards": "rightwards"}
-SWAP |= {"rightwards": "leftwards", "clockwise": "counterclockwise", "counterclockwise": "clockwise"}
-_SIDE = re.compile(r"\b(" + "|".join(sorted(SWAP, key=len, reverse=True)) + r")\b")
+SWAP = {"left": "right", "leftward": "rightward", "leftwards": "rightwards", "clockwise": "counterclockwise"}
+SWAP |= {other: word for word, other in SWAP.items()}
+# An underscore ends a word here, for labels such as wave_left_hand; each spelling of counterclockwise is one word.
+_SIDE = re.compile(r"(?<![^\W_])(left(?:wards?)?|right(?:wards?)?|(counter[- ]?|anti[- ]?)?clockwise)(?![^\W_])", re.I)
 
 
 @dataclass(frozen=True)
@@ -38,12 +39,21 @@ class MotionClip:
 
 def mirrored_caption(caption: str) -> str:
     """The caption of the mirrored clip: left and right exchanged, other words untouched."""
-    return _SIDE.sub(lambda match: SWAP[match.group(1)], caption)
+    return _SIDE.sub(_other_side, caption)
+
+
+def _other_side(match: re.Match[str]) -> str:
+    """The opposite of a word of `_SIDE`, in its case."""
+    word = match.group()
+    other = "clockwise" if match.group(2) else SWAP[word.lower()]
+    if word.isupper():
+        return other.upper()
+    return other.capitalize() if word[0].isupper() else other
 
 
 def mirrored_label(label: str) -> str:
     """`wave-left-hand` -> `wave-right-hand`."""
-    return mirrored_caption(label.replace("-", " ")).replace(" ", "-")
+    return mirrored_caption(label)
 
 
 def mirrored_clip(clip: MotionClip) -> MotionClip:

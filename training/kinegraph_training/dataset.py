@@ -25,7 +25,7 @@ class Dataset:
     std: FloatArray
 
 
-def training_clips(folder: Path, config: DataConfig, held_out: Path | None, seed: int) -> list[MotionClip]:
+def training_clips(folder: Path, config: DataConfig, held_out: Path | None) -> list[MotionClip]:
     """Recorded clips of the `train` split and made compositions, each also mirrored.
 
     Compositions need the action's label in index.jsonl: clips without one (a user's own) are trained on as they are.
@@ -41,15 +41,15 @@ def training_clips(folder: Path, config: DataConfig, held_out: Path | None, seed
                 "splices and sequences need --held-out FILE (pairs never to be made); or set both to 0 in [data]"
             )
         held = HeldOut.read(held_out)
-        made = make_splices(labelled, config.splices, held, seed)
-        made += make_sequences(labelled, config.sequences, held, seed + 1, config.max_frames)
+        made = make_splices(labelled, config.splices, held, config.seed)
+        made += make_sequences(labelled, config.sequences, held, config.seed + 1, config.max_frames)
         clips = clips + made
     return clips + [mirrored_clip(clip) for clip in clips]
 
 
-def training_set(folder: Path, config: DataConfig, held_out: Path | None, seed: int) -> Dataset:
+def training_set(folder: Path, config: DataConfig, held_out: Path | None) -> Dataset:
     """The training clips and their own normalisation."""
-    clips = training_clips(folder, config, held_out, seed)
+    clips = training_clips(folder, config, held_out)
     features = [features_from_joints(clip.joints) for clip in clips]
     mean, std = normalisation(features)
     return Dataset(clips, [(rows - mean) / std for rows in features], mean, std)

@@ -129,7 +129,7 @@ def within(dataset: Dataset, max_frames: int) -> Dataset:
 
 def batches(arguments: argparse.Namespace, preset: Preset) -> tuple[DataLoader, DataLoader, dict[str, Latents]]:
     """Training and validation batches, and the latents they come from."""
-    train = within(training_set(arguments.data, preset.data, arguments.held_out, preset.seed), preset.data.max_frames)
+    train = within(training_set(arguments.data, preset.data, arguments.held_out), preset.data.max_frames)
     val = validation_set(arguments.data, "val", preset.data, train.mean, train.std)
     captions = [caption for clip in train.clips + val.clips for caption in clip.captions]
     graphs: CaptionGraphs | CaptionStates

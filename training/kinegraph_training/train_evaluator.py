@@ -104,7 +104,7 @@ def within(dataset: Dataset, max_frames: int) -> Dataset:
 
 def loaders(data: Path, assets: Path, run: Path, config: OptimiserConfig) -> tuple[DataLoader, DataLoader, Dataset]:
     """Training and validation batches; rare labels are drawn more often, by the root of their number."""
-    train = within(training_set(data, DATA, None, SEED), DATA.max_frames)
+    train = within(training_set(data, DATA, None), DATA.max_frames)
     val = validation_set(data, "val", DATA, train.mean, train.std)
     captions = [caption for clip in train.clips + val.clips for caption in clip.captions]
     states = caption_states(captions, assets, run / "states.npz")

@@ -140,7 +140,7 @@ def main(argv: list[str] | None = None) -> None:
         torch.set_num_threads(arguments.threads)
     L.seed_everything(preset.seed)
     config = preset.vae_training[arguments.level]
-    train = training_set(arguments.data, preset.data, arguments.held_out, preset.seed)
+    train = training_set(arguments.data, preset.data, arguments.held_out)
     val = validation_set(arguments.data, "val", preset.data, train.mean, train.std)
     module = VaeModule(preset.vae[arguments.level], config, train.mean.tolist(), train.std.tolist())
     run = arguments.run / f"vae_{arguments.level}"
