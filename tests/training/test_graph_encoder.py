@@ -78,6 +78,16 @@ def test_weight_zero_is_an_edge_that_is_not_there(encoder: GraphEncoder) -> None
     assert not np.allclose(run(encoder, nodes, relation, weight), run(encoder, nodes, without, weight), atol=1e-4)
 
 
+def test_towards_weight_zero_nothing_jumps(encoder: GraphEncoder) -> None:
+    nodes, relation, weight = random_graph(np.random.default_rng(1), 6)
+    relation[0, 3] = relation[3, 0] = 4
+    found = []
+    for value in (0.0, 1e-30, 1e-6):
+        weight[0, 3] = weight[3, 0] = value
+        found.append(run(encoder, nodes, relation, weight))
+    np.testing.assert_allclose(found[1:], [found[0]] * 2, atol=1e-4)
+
+
 def test_a_heavy_edge_takes_the_attention(encoder: GraphEncoder) -> None:
     nodes, relation, weight = random_graph(np.random.default_rng(2), 4)
     relation[0, 2] = relation[2, 0] = 1

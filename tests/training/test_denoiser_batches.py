@@ -1,0 +1,218 @@
+"""What the denoisers are shown in training, and what is hidden from them on purpose."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+torch = pytest.importorskip("torch")
+pytest.importorskip("lightning")
+
+from kinegraph.conditions import ACTION, MOTION, SPECIFIC, GraphArrays  # noqa: E402
+from kinegraph.contract import LEVELS, NULL_KIND, PADDING_BIAS  # noqa: E402
+from kinegraph_training import denoiser_batches  # noqa: E402
+from kinegraph_training.config import OptimiserConfig  # noqa: E402
+from kinegraph_training.data import MotionClip  # noqa: E402
+from kinegraph_training.dataset import Dataset  # noqa: E402
+from kinegraph_training.denoiser_batches import COARSE_NOISE, DenoiserBatch, DenoiserBatches, thinned  # noqa: E402
+from kinegraph_training.latents import Latents  # noqa: E402
+from kinegraph_training.models.denoiser import DenoiserConfig, LatentShape  # noqa: E402
+from kinegraph_training.models.graph_encoder import GraphEncoder  # noqa: E402
+from kinegraph_training.train_denoisers import DenoiserModule  # noqa: E402
+
+WIDTH = 12
+SHAPES = {"motion": (2, 4), "action": (3, 4), "specific": (4, 4)}
+
+
+def graph(parents: list[int], actions: int, seed: int = 0) -> GraphArrays:
+    """A tree: node 0 the motion, `actions` actions below it, then a specific below each of `parents`."""
+    count = 1 + actions + len(parents)
+    relation = np.full((count, count), -1, dtype=np.int64)
+    np.fill_diagonal(relation, 11)
+    edges = [(0, action, 10) for action in range(1, actions + 1)]
+    edges += [(parent, 1 + actions + place, place % 5) for place, parent in enumerate(parents)]
+    for parent, child, kind in edges:
+        relation[parent, child] = relation[child, parent] = kind
+    return GraphArrays(
+        nodes=np.random.default_rng(seed).standard_normal((count, WIDTH)).astype(np.float32),
+        relation=relation,
+        edge_weight=np.ones((count, count), dtype=np.float32),
+        kind=np.array([MOTION] + [ACTION] * actions + [SPECIFIC] * len(parents), dtype=np.int64),
+        order=np.array([0, *range(1, actions + 1), *parents], dtype=np.int64),
+        path_weight=np.ones(count, dtype=np.float32),
+    )
+
+
+SMALL, LARGE = graph([1], 1), graph([1, 2, 2], 2, seed=1)
+
+
+class Captions:
+    """Two captions, without a parser."""
+
+    def get(self, caption: str) -> GraphArrays:
+        return {"small": SMALL, "large": LARGE}[caption]
+
+
+def batches(*, augment: bool, seed: int = 0) -> DenoiserBatches:
+    """Clip 0 has the small graph and 40 frames, clip 1 the large one and 60."""
+    clips = [
+        MotionClip(name, np.zeros((frames, 22, 3), dtype=np.float32), (name,), "", "")
+        for name, frames in (("small", 40), ("large", 60))
+    ]
+    features = [np.zeros((len(clip.joints), 137), dtype=np.float32) for clip in clips]
+    dataset = Dataset(clips, features, np.zeros(137, dtype=np.float32), np.ones(137, dtype=np.float32))
+    generator = torch.Generator().manual_seed(9)
+    # Posteriors without spread: what differs from the mean is noise that the batch added.
+    latents = {
+        level: Latents(torch.randn(2, *shape, generator=generator), torch.zeros(2, *shape), torch.zeros(shape),
+                       torch.ones(shape))
+        for level, shape in SHAPES.items()
+    }  # fmt: skip
+    return DenoiserBatches(dataset, latents, Captions(), seed=seed, augment=augment)  # type: ignore[arg-type]
+
+
+@pytest.fixture(scope="module")
+def many() -> DenoiserBatch:
+    return batches(augment=True)([0, 1] * 2000)
+
+
+@pytest.fixture
+def module() -> DenoiserModule:
+    torch.manual_seed(2)
+    config = DenoiserConfig(width=16, layers=3, heads=2, feed_forward=32, text_width=WIDTH, train_steps=50)
+    training = OptimiserConfig(steps=1, learning_rate=1e-3, warmup=1, batch=2, ema=0.9)
+    return DenoiserModule(config, training, {level: LatentShape(*shape) for level, shape in SHAPES.items()}, {}).eval()
+
+
+def test_the_coarser_latent_is_noisy_in_training_and_the_target_is_not(many: DenoiserBatch) -> None:
+    clean = batches(augment=False)([0, 1] * 2000)
+    assert list(many.coarse) == ["action", "specific"]
+    for above, level in (("motion", "action"), ("action", "specific")):
+        torch.testing.assert_close(many.latents[level], clean.latents[level], atol=0, rtol=0)
+        torch.testing.assert_close(clean.coarse[level], clean.latents[above], atol=0, rtol=0)
+        # u n with u uniform in [0, s] and n normal has the variance s^2 / 3, and a kurtosis of its own: 27/5, not 3.
+        added = (many.coarse[level] - many.latents[above]).flatten().double()
+        assert float(added.mean().abs()) < 0.01
+        assert float(added.square().mean()) == pytest.approx(COARSE_NOISE**2 / 3, rel=0.1)
+        assert float(added.pow(4).mean() / added.square().mean() ** 2) == pytest.approx(5.4, rel=0.15)
+
+
+def test_a_tenth_loses_its_text_and_half_of_these_the_coarser_latent(many: DenoiserBatch) -> None:
+    null = (many.graph.kind == NULL_KIND).all(dim=1)
+    assert torch.equal(null, (many.graph.kind == NULL_KIND).any(dim=1))
+    empty = many.coarse_bias == PADDING_BIAS
+    assert float(null.double().mean()) == pytest.approx(0.10, abs=0.02)
+    assert float(empty[null].double().mean()) == pytest.approx(0.5, abs=0.1)
+    assert not empty[~null].any() and (many.coarse_bias[~empty] == 0).all()
+    # One null token, as at run time; more of them would weigh more against the coarser latent.
+    assert (many.node_bias[null] == torch.tensor([0.0] + [PADDING_BIAS] * 5)).all()
+
+
+def test_nodes_are_hidden_as_often_as_said(many: DenoiserBatch) -> None:
+    large = (many.graph.kind != NULL_KIND).all(dim=1) & (torch.arange(4000) % 2 == 1)
+    hidden = (many.node_bias[large] == PADDING_BIAS).double().mean(dim=0)
+    # A specific is hidden by itself (0.1) or with its action (0.05).
+    expected = [0.3, 0.05, 0.05] + [1 - 0.9 * 0.95] * 3
+    np.testing.assert_allclose(hidden.numpy(), expected, atol=0.045)
+    small = (many.graph.kind != NULL_KIND).all(dim=1) & (torch.arange(4000) % 2 == 0)
+    # The only action stays, and padding is never shown.
+    assert (many.node_bias[small, 1] == 0).all() and (many.node_bias[small, 3:] == PADDING_BIAS).all()
+
+
+def test_validation_hides_nothing() -> None:
+    batch = batches(augment=False)([0, 1])
+    assert torch.equal(batch.node_bias == 0, batch.graph.node_mask == 1)
+    assert (batch.graph.edge_weight == 1).all() and (batch.coarse_bias == 0).all()
+    assert batch.frames.tolist() == [40, 60]
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_a_dropped_node_is_a_node_that_is_not_there(seed: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(denoiser_batches, "DROP_ACTION", 0.5)
+    monkeypatch.setattr(denoiser_batches, "DROP_SPECIFIC", 0.4)
+    torch.manual_seed(0)
+    encoder = GraphEncoder(WIDTH)
+    found, kept = thinned(LARGE, np.random.default_rng(seed))
+    left = np.flatnonzero(kept)
+    # Specifics 3 | 4, 5 hang below actions 1 | 2 and never outlive them.
+    assert kept[0] and not (kept[3] and not kept[1]) and not ((kept[4] or kept[5]) and not kept[2])
+    np.testing.assert_array_equal(found.order, LARGE.order)
+    with torch.no_grad():
+        whole = encoder(*(torch.from_numpy(part)[None] for part in (found.nodes, found.relation, found.edge_weight)),
+                        torch.ones(1, 6))  # fmt: skip
+        cut = (LARGE.nodes[left], LARGE.relation[np.ix_(left, left)], LARGE.edge_weight[np.ix_(left, left)])
+        alone = encoder(*(torch.from_numpy(part)[None] for part in cut), torch.ones(1, len(left)))
+    torch.testing.assert_close(whole[:, left], alone, atol=1e-6, rtol=0)
+
+
+def test_some_seed_drops_something(monkeypatch: pytest.MonkeyPatch) -> None:
+    # Or the test above would say nothing.
+    monkeypatch.setattr(denoiser_batches, "DROP_ACTION", 0.5)
+    sizes = {int(thinned(LARGE, np.random.default_rng(seed))[1].sum()) for seed in range(6)}
+    assert len(sizes) > 1
+
+
+def influence(module: DenoiserModule, level: str, batch: DenoiserBatch) -> tuple[torch.Tensor, torch.Tensor | None]:
+    """Which nodes (b, n), and which rows' coarser latents (b,), the loss of one level depends on."""
+    count = len(batch.frames)
+    nodes = module.hierarchy.encode(batch.graph).detach().requires_grad_()
+    coarse = {name: value.clone().requires_grad_() for name, value in batch.coarse.items()}
+    noise = torch.randn(batch.latents[level].shape, generator=torch.Generator().manual_seed(1))
+    loss = module.level_loss(level, nodes, replace(batch, coarse=coarse), torch.full((count,), 20), noise)
+    loss.sum().backward()
+    above = coarse[level].grad.abs().sum(dim=(1, 2)) > 0 if level in coarse else None
+    return nodes.grad.abs().sum(dim=-1) > 0, above
+
+
+@pytest.mark.parametrize(("level", "kinds"), [("motion", 1), ("action", 2), ("specific", 3)])
+def test_a_level_looks_at_its_nodes_and_at_the_level_above(module: DenoiserModule, level: str, kinds: int) -> None:
+    batch = batches(augment=False)([0, 1])
+    nodes, coarse = influence(module, level, batch)
+    assert torch.equal(nodes, (batch.graph.kind < kinds) & (batch.graph.node_mask == 1))
+    assert (coarse is None) if level == "motion" else coarse.all()
+
+
+@pytest.mark.parametrize("level", LEVELS)
+def test_without_text_only_the_coarser_latent_is_seen_and_it_can_be_hidden(module: DenoiserModule, level: str) -> None:
+    blank = batches(augment=False)([0, 1]).without_text()
+    blank = replace(blank, coarse_bias=torch.tensor([0.0, PADDING_BIAS]))
+    nodes, coarse = influence(module, level, blank)
+    assert not nodes.any()
+    assert (coarse is None) if level == "motion" else coarse.tolist() == [True, False]
+
+
+def test_a_hidden_sentence_is_hidden_from_all_who_see_something_else(module: DenoiserModule) -> None:
+    batch = batches(augment=False)([0, 1])
+    batch.node_bias[:, 0] = PADDING_BIAS
+    seen = {level: influence(module, level, batch)[0][:, 0].tolist() for level in LEVELS}
+    assert seen == {"motion": [True, True], "action": [False, False], "specific": [False, False]}
+
+
+@pytest.mark.parametrize("level", LEVELS)
+def test_a_sample_does_not_know_its_neighbours(module: DenoiserModule, level: str) -> None:
+    # The small graph is padded to six nodes next to the large one.
+    both, alone = batches(augment=False)([0, 1]), batches(augment=False)([0])
+    noise = torch.randn(2, *SHAPES[level], generator=torch.Generator().manual_seed(4))
+    with torch.no_grad():
+        first = module.level_loss(level, module.hierarchy.encode(both.graph), both, torch.tensor([30, 5]), noise)
+        own = module.level_loss(level, module.hierarchy.encode(alone.graph), alone, torch.tensor([30]), noise[:1])
+    torch.testing.assert_close(first[:1], own, atol=1e-6, rtol=0)
+
+
+def test_the_loss_is_that_of_the_noise_in_a_noised_latent(
+    module: DenoiserModule, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    batch = batches(augment=False)([0, 1])
+    noise = torch.randn(2, *SHAPES["action"], generator=torch.Generator().manual_seed(4))
+    read = []
+    step = module.hierarchy.levels["action"].step
+    monkeypatch.setattr(step, "forward", lambda latent, *_: read.append(latent) or torch.zeros_like(latent))
+    nodes = module.hierarchy.encode(batch.graph)
+    loss = module.level_loss("action", nodes, batch, torch.tensor([0, 49]), noise)
+    np.testing.assert_allclose(loss.detach(), noise.square().mean(dim=(1, 2)), rtol=1e-5)
+    betas = np.linspace(np.sqrt(8.5e-4), np.sqrt(0.012), 50) ** 2
+    alpha = np.cumprod(1 - betas)[[0, 49], None, None]
+    expected = np.sqrt(alpha) * batch.latents["action"].numpy() + np.sqrt(1 - alpha) * noise.numpy()
+    np.testing.assert_allclose(read[0], expected, atol=1e-5)
