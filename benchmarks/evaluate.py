@@ -163,7 +163,7 @@ def table(result: dict[str, Any]) -> str:
             alone = made["without_near_twins"]
             other = f"{alone[name]['mean']:.3f}" if alone and name in alone else "-"
             own = real[name]["mean"]
-            ratio = f"{value['mean'] / own:.2f}" if own > 1e-6 else "-"
+            ratio = f"{value['mean'] / own:.2f}" if abs(own) > 1e-6 else "-"
             lines.append(
                 f"| {name} | {own:.3f} | {value['mean']:.3f} ± {value['plus_minus']:.3f} | {ratio} | {other} |"
             )

@@ -15,10 +15,13 @@ from kinegraph.bundle import DEFAULT_BUNDLE
 from kinegraph.conditions import GraphArrays
 from kinegraph.contract import LEVELS
 from kinegraph.diffusion.sampler import LevelPlan, initial_noise
+from kinegraph.motion.bones import with_bone_lengths
+from kinegraph.tables import BONE_LENGTHS
 from kinegraph_export.checkpoints import read_run
 from kinegraph_export.pipeline_parity import Request, torch_joints
 from kinegraph_training.caption_graphs import CaptionEncoder
 from kinegraph_training.caption_states import plain_tokens
+from kinegraph_training.run_tables import read_tables
 
 FPS = 20
 STEPS = {"motion": 15, "action": 15, "specific": 20}
@@ -47,6 +50,8 @@ class TorchModel:
         self._trained, self._own = read_run(run)
         self._encoder = CaptionEncoder(text_files)
         self._config = self._trained.hierarchy.config
+        measured = read_tables(run)
+        self._bones = measured[BONE_LENGTHS][0] if BONE_LENGTHS in measured else None
 
     def generate(
         self, caption: str, *, seconds: float, seed: int, steps: list[int] | None = None, guidance: float = GUIDANCE
@@ -60,7 +65,7 @@ class TorchModel:
         plans = [LevelPlan(level, shape.tokens, shape.width, counts[level]) for level, shape in latents.items()]
         request = Request(round(seconds * FPS), initial_noise(seed, plans), counts, dict.fromkeys(latents, guidance))
         joints = torch_joints(self._trained, self._condition(caption), request, self._own.mean, self._own.std)
-        return TorchClip(joints)
+        return TorchClip(with_bone_lengths(joints, self._bones))
 
     @torch.no_grad()
     def _condition(self, caption: str) -> GraphArrays:

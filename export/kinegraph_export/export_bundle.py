@@ -37,11 +37,12 @@ from kinegraph.manifest import (
     describe_file,
     to_json,
 )
-from kinegraph.motion.skeleton import JOINT_NAMES, PARENTS
+from kinegraph.motion.bones import with_bone_lengths
+from kinegraph.motion.skeleton import JOINT_NAMES, PARENTS, FloatArray
 from kinegraph.onnx_ops import summarise
 from kinegraph.options import generate_options
 from kinegraph.pipeline import MotionPipeline
-from kinegraph.tables import DURATION
+from kinegraph.tables import BONE_LENGTHS
 from kinegraph.text.roles import ROLES
 from kinegraph_export.checkpoints import read_run
 from kinegraph_export.graphs import Trained, export_graphs, level_specs
@@ -50,8 +51,8 @@ from kinegraph_export.parity import ParityError
 from kinegraph_export.pipeline_parity import Request, torch_joints
 from kinegraph_export.sources import MINILM, SPACY_MODEL
 from kinegraph_training.caption_graphs import ASSETS
-from kinegraph_training.duration import read_duration
 from kinegraph_training.latents import TrainedVae
+from kinegraph_training.run_tables import read_tables
 
 PROMPTS = (
     "a person walks forward", "someone runs", "a person raises the left hand", "a man waves with both hands",
@@ -88,10 +89,10 @@ class Card:
             raise InvalidInputError(f"{path} is no bundle card: {error}") from error
 
 
-def table_file(trained: Trained, duration: np.ndarray | None) -> bytes:
-    """tables.npz of all levels, with the duration model of the run if it has one."""
+def table_file(trained: Trained, measured: dict[str, FloatArray]) -> bytes:
+    """tables.npz of all levels, with what the run measured on its data."""
     config = trained.hierarchy.config
-    arrays = {} if duration is None else {DURATION: duration}
+    arrays = dict(measured)
     for level in LEVELS:
         time, length = tables(trained.hierarchy.levels[level].clock, config.train_steps, config.max_frames)
         arrays |= {f"time_{level}": time.numpy(), f"length_{level}": length.numpy()}
@@ -154,7 +155,7 @@ def write_bundle(folder: Path, manifest: Manifest, files: dict[str, bytes]) -> N
     (folder / "manifest.json").write_bytes(to_json(manifest))
 
 
-def pipeline_difference(folder: Path, trained: Trained, own: TrainedVae) -> float:
+def pipeline_difference(folder: Path, trained: Trained, own: TrainedVae, bones: FloatArray | None) -> float:
     """Mean joint distance between torch and the runtime over `PROMPTS`, mm; captions, graphs and noise the same."""
     pipe = MotionPipeline.load(folder)
     distances = []
@@ -164,7 +165,7 @@ def pipeline_difference(folder: Path, trained: Trained, own: TrainedVae) -> floa
         options = generate_options(pipe.manifest, seed=seed, seconds=clip.frames / clip.fps)
         plans = [LevelPlan(name, spec.tokens, spec.latent_width, 1) for name, spec in pipe.manifest.levels.items()]
         request = Request(clip.frames, initial_noise(seed, plans), dict(options.steps), dict(options.guidance))
-        expected = torch_joints(trained, pipe._arrays(graph), request, own.mean, own.std)
+        expected = with_bone_lengths(torch_joints(trained, pipe._arrays(graph), request, own.mean, own.std), bones)
         distances.append(np.linalg.norm(clip.joints - expected, axis=-1).mean() * 1000.0)
     return float(np.mean(distances))
 
@@ -178,15 +179,17 @@ def export_bundle(run: Path, assets: Path, card: Card, out: Path) -> Manifest:
     """
     trained, own = read_run(run)
     graphs, parity = export_graphs(trained, trained.hierarchy.config.text_width, len(own.mean))
-    tables_file = table_file(trained, read_duration(run))
-    files = {name: (assets / name).read_bytes() for name in ASSETS} | graphs | {"tables.npz": tables_file}
+    measured = read_tables(run)
+    files = {name: (assets / name).read_bytes() for name in ASSETS} | graphs
+    files["tables.npz"] = table_file(trained, measured)
     draft = manifest_of(card, trained, own, files, parity)
     if out.exists() and not (out / "manifest.json").is_file():
         raise OutputError(f"{out} exists and is not a bundle; name another folder")
     with tempfile.TemporaryDirectory() as folder:
         staged = Path(folder) / "bundle"
         write_bundle(staged, draft, files)
-        distance = pipeline_difference(staged, trained, own)
+        bones = measured[BONE_LENGTHS][0] if BONE_LENGTHS in measured else None
+        distance = pipeline_difference(staged, trained, own, bones)
         if not distance <= MAX_PIPELINE_MM:
             raise ParityError(
                 f"the runtime's joints differ from torch's by {distance:.3f} mm, more than {MAX_PIPELINE_MM}"

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from kinegraph.errors import NonFiniteError
 from kinegraph.manifest import Manifest
+from kinegraph.motion.bones import with_bone_lengths
 from kinegraph.motion.features import joints_from_features
 from kinegraph.motion.humanml3d import joints_from_humanml3d
 
@@ -20,13 +21,18 @@ _TO_JOINTS: Final = {"joints-137": joints_from_features, "humanml3d-263": joints
 
 
 def decode(
-    decoder: onnxruntime.InferenceSession, manifest: Manifest, latent: FloatArray, frames: Sequence[int]
+    decoder: onnxruntime.InferenceSession,
+    manifest: Manifest,
+    bones: FloatArray | None,
+    latent: FloatArray,
+    frames: Sequence[int],
 ) -> list[FloatArray]:
     """Joints (frames, 22, 3) of every sample.
 
     Args:
         decoder: session of the decoder.
         manifest: of its bundle.
+        bones: (21,) metres that all bones get; None keeps each at its median length in the clip.
         latent: (B, C, z) of the finest level.
         frames: of each sample.
 
@@ -42,7 +48,8 @@ def decode(
     mean, std = (np.array(part, dtype=np.float32) for part in (manifest.features.mean, manifest.features.std))
     raw = finite(features, "the decoder") * std + mean
     to_joints = _TO_JOINTS[manifest.features.layout]
-    return [to_joints(rows[:count]) for rows, count in zip(raw, frames, strict=True)]
+    motions = [to_joints(rows[:count]) for rows, count in zip(raw, frames, strict=True)]
+    return [with_bone_lengths(joints, bones) for joints in motions]
 
 
 def finite(values: FloatArray, stage: str) -> FloatArray:

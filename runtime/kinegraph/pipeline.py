@@ -38,7 +38,7 @@ from kinegraph.motion.clip import Clip
 from kinegraph.network import RowNetwork, row_network, time_embedding
 from kinegraph.options import GenerateOptions, Guidance, Steps, generate_options
 from kinegraph.sessions import Sessions, open_sessions
-from kinegraph.tables import DURATION
+from kinegraph.tables import BONE_LENGTHS, DURATION
 from kinegraph.text.parser import LazyParser, check_caption
 from kinegraph.text.tokens import CaptionTokenizer
 
@@ -130,9 +130,7 @@ class MotionPipeline:
             options = self._with_own_length(options, arrays)
         encoded = self._encode(arrays)
         latent = self._sample(encoded, [options], on_step)
-        return self._clip(
-            decode(self._sessions.decoder, self.manifest, latent, [options.frames])[0], options, graph.caption
-        )
+        return self._clip(latent, options, graph.caption)
 
     def compose(
         self,
@@ -181,7 +179,7 @@ class MotionPipeline:
 
         latent = self._sampled([options], predictor_for, on_step)
         caption = joint.caption if isinstance(joint, SemanticGraph) else joint
-        return self._clip(decode(self._sessions.decoder, self.manifest, latent, [options.frames])[0], options, caption)
+        return self._clip(latent, options, caption)
 
     def _with_own_length(self, options: GenerateOptions, arrays: Sequence[GraphArrays]) -> GenerateOptions:
         """The length that the longest of some sentences asks for; as it is, where the bundle cannot tell."""
@@ -191,7 +189,9 @@ class MotionPipeline:
         frames = expected_frames(self._tables[DURATION], arrays, limits.min, limits.max)
         return replace(options, frames=frames, seconds=frames / self.manifest.fps)
 
-    def _clip(self, joints: FloatArray, options: GenerateOptions, text: str) -> Clip:
+    def _clip(self, latent: FloatArray, options: GenerateOptions, text: str) -> Clip:
+        bones = self._tables[BONE_LENGTHS][0] if BONE_LENGTHS in self._tables else None
+        (joints,) = decode(self._sessions.decoder, self.manifest, bones, latent, [options.frames])
         bundle = f"{self.manifest.name} {self.manifest.version}"
         return Clip(joints=joints, fps=self.manifest.fps, seed=options.seed, text=text, bundle=bundle)
 

@@ -1,5 +1,6 @@
-"""`tables.npz`: the embeddings of time and length, computed at export because no sample changes them, and the weights
-that tell a clip's length (`kinegraph.duration`), which a bundle may lack."""
+"""`tables.npz`: the embeddings of time and length, computed at export because no sample changes them. Where the bundle
+has them: the weights that tell a clip's length (`kinegraph.duration`), and the bones of the one body it knows.
+"""
 
 from __future__ import annotations
 
@@ -16,23 +17,26 @@ from kinegraph.contract import LEVELS
 from kinegraph.duration import EXTRA
 from kinegraph.errors import BundleFormatError
 from kinegraph.manifest import Manifest
-from kinegraph.motion.skeleton import FloatArray
+from kinegraph.motion.skeleton import JOINTS, FloatArray
 
 FILE: Final = "tables.npz"
 DURATION: Final = "duration"
+BONE_LENGTHS: Final = "bone_lengths"
+OPTIONAL: Final = frozenset((DURATION, BONE_LENGTHS))
 
 _HEADER_BYTES: Final = 4096
 """More than any .npy header of a two-dimensional array."""
 
 
 def table_shapes(manifest: Manifest) -> dict[str, tuple[int, int]]:
-    """Name -> shape of every array that `tables.npz` may hold; all are float32 and all but `DURATION` must be there."""
+    """Name -> shape of every array that `tables.npz` may hold, all float32; those of `OPTIONAL` may be missing."""
     shapes: dict[str, tuple[int, int]] = {}
     for name in LEVELS:
         width = manifest.levels[name].width
         shapes[f"time_{name}"] = (manifest.schedule.train_steps, width)
         shapes[f"length_{name}"] = (manifest.frames.max + 1, width)
     shapes[DURATION] = (1, manifest.text.width + EXTRA)
+    shapes[BONE_LENGTHS] = (1, JOINTS - 1)
     return shapes
 
 
@@ -61,7 +65,7 @@ def _check_members(data: bytes, shapes: Mapping[str, tuple[int, int]]) -> None:
         found = {member.filename: member.file_size for member in archive.infolist()}
         count = len(archive.infolist())
     expected = {f"{name}.npy" for name in shapes}
-    if set(found) | {f"{DURATION}.npy"} != expected or count != len(found):
+    if set(found) | {f"{name}.npy" for name in OPTIONAL} != expected or count != len(found):
         raise BundleFormatError(f"{FILE} must hold exactly {sorted(shapes)}, found {sorted(found)}")
     for name, (rows, width) in shapes.items():
         # Before unpacking: a small archive can unpack to any size.

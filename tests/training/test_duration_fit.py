@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
 from kinegraph.conditions import GraphArrays
 from kinegraph.duration import expected_frames
-from kinegraph_training.duration import fit_duration, read_duration, write_duration
+from kinegraph_training.duration import fit_duration
 
 
 def graph(sentence: np.ndarray) -> GraphArrays:
@@ -19,17 +17,12 @@ def graph(sentence: np.ndarray) -> GraphArrays:
     )
 
 
-def test_a_linear_law_is_found_again(tmp_path: Path) -> None:
+def test_a_linear_law_is_found_again() -> None:
     rng = np.random.default_rng(0)
     law = np.array([0.4, -0.3, 0.2])
     sentences = rng.standard_normal((2000, 3))
     pairs = [(graph(one), round(np.exp(one @ law + 4.0))) for one in sentences]
-    write_duration(tmp_path / "run", fit_duration(pairs))
-    weights = read_duration(tmp_path / "run")
-    assert weights is not None and weights.dtype == np.float32
+    weights = fit_duration(pairs)
+    assert weights.dtype == np.float32
     for one, frames in pairs[:50]:
         assert expected_frames(weights, [one], 1, 10_000) == pytest.approx(frames, rel=0.06, abs=1)
-
-
-def test_a_run_without_it_has_none(tmp_path: Path) -> None:
-    assert read_duration(tmp_path) is None

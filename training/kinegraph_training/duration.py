@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,7 +12,6 @@ from kinegraph.duration import duration_inputs
 
 PENALTY = 10.0
 """Of the ridge; between 1 and 100 the error on held-out clips moves by a fifth."""
-FILE = "duration.npz"
 
 
 def fit_duration(pairs: Iterable[tuple[GraphArrays, int]]) -> NDArray[np.float32]:
@@ -25,19 +23,3 @@ def fit_duration(pairs: Iterable[tuple[GraphArrays, int]]) -> NDArray[np.float32
     design = np.stack(rows)
     gram = design.T @ design + PENALTY * np.eye(design.shape[1])
     return np.linalg.solve(gram, design.T @ np.array(targets))[None].astype(np.float32)
-
-
-def write_duration(run: Path, weights: NDArray[np.float32]) -> None:
-    """Beside the stages of a run; the exporter puts it into the bundle."""
-    run.mkdir(parents=True, exist_ok=True)
-    np.savez(run / FILE, duration=weights)
-
-
-def read_duration(run: Path) -> NDArray[np.float32] | None:
-    """What `write_duration` wrote; None for a run without it."""
-    path = run / FILE
-    if not path.is_file():
-        return None
-    with np.load(path, allow_pickle=False) as stored:
-        weights: NDArray[np.float32] = stored["duration"]
-    return weights

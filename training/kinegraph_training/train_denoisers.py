@@ -21,16 +21,19 @@ from torch.utils.data import DataLoader, WeightedRandomSampler
 
 from kinegraph.contract import NULL_KIND, PADDING_BIAS
 from kinegraph.diffusion.schedule import NoiseSchedule
+from kinegraph.motion.skeleton import FloatArray
+from kinegraph.tables import BONE_LENGTHS, DURATION
 from kinegraph_training.caption_graphs import CaptionGraphs, encode_captions
 from kinegraph_training.caption_states import CaptionStates, caption_states
 from kinegraph_training.config import DataConfig, OptimiserConfig, Preset, read_preset
 from kinegraph_training.data import MotionClip
 from kinegraph_training.dataset import Dataset, training_set, validation_set
 from kinegraph_training.denoiser_batches import DenoiserBatch, DenoiserBatches
-from kinegraph_training.duration import fit_duration, write_duration
+from kinegraph_training.duration import fit_duration
 from kinegraph_training.latents import Latents, cached_latents, encode_clips, read_vae
 from kinegraph_training.models.denoiser import DenoiserConfig, LatentShape
 from kinegraph_training.models.hierarchy import Hierarchy
+from kinegraph_training.run_tables import common_bone_lengths, write_tables
 from kinegraph_training.train_vae import add_common_arguments, lightning_flags
 from kinegraph_training.training_run import last_checkpoint, optimiser, trainer
 
@@ -127,6 +130,16 @@ def within(dataset: Dataset, max_frames: int) -> Dataset:
     return Dataset(clips, features, dataset.mean, dataset.std)
 
 
+def measured(train: Dataset, graphs: CaptionGraphs | CaptionStates) -> dict[str, FloatArray]:
+    """What the bundle says of the training clips besides the networks: how long they are, how long their bones."""
+    tables = {}
+    if isinstance(graphs, CaptionGraphs):
+        frames = [(graphs.get(caption), len(clip.joints)) for clip in train.clips for caption in clip.captions]
+        tables[DURATION] = fit_duration(frames)
+    lengths = common_bone_lengths(clip.joints for clip in train.clips)
+    return tables if lengths is None else {**tables, BONE_LENGTHS: lengths}
+
+
 def batches(arguments: argparse.Namespace, preset: Preset) -> tuple[DataLoader, DataLoader, dict[str, Latents]]:
     """Training and validation batches, and the latents they come from."""
     train = within(training_set(arguments.data, preset.data, arguments.held_out), preset.data.max_frames)
@@ -137,9 +150,7 @@ def batches(arguments: argparse.Namespace, preset: Preset) -> tuple[DataLoader, 
         graphs = caption_states(captions, arguments.assets, arguments.run / "states.npz")
     else:
         graphs = encode_captions(captions, arguments.assets, arguments.run / "captions.npz")
-    if isinstance(graphs, CaptionGraphs):
-        frames = [(graphs.get(caption), len(clip.joints)) for clip in train.clips for caption in clip.captions]
-        write_duration(arguments.run, fit_duration(frames))
+    write_tables(arguments.run, measured(train, graphs))
     known = cached_latents(arguments.run, train.features, arguments.run / "latents.pt")
     latents = {level: known[level] for level in preset.denoiser.levels}
     val_latents = {}
