@@ -18,6 +18,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from composed import Composed, Kind, composed_set
+from composed_scores import as_clips, by_training, composed_scores
 from evaluator import Evaluator
 from numpy.typing import NDArray
 from recogniser import Recogniser
@@ -26,11 +28,13 @@ from takes import BundleModel, Model, folder_of, generated
 
 from kinegraph import KinegraphError
 from kinegraph.motion.skeleton import bone_lengths
+from kinegraph_training.compositions import HeldOut
 from kinegraph_training.data import MotionClip, read_split
 from kinegraph_training.metrics import bootstrap, frechet_distance, label_groups, multimodality, r_precision
 
 MIN_FRAMES = 16
 SPLITS = ("dev_test", "dev_compositional")
+KINDS: tuple[Kind, ...] = ("in_order", "together")
 
 
 @dataclass(frozen=True)
@@ -42,6 +46,8 @@ class Plan:
     """A training run to sample in torch, instead of a bundle."""
     data: Path
     work: Path
+    held_out: Path | None
+    """Pairs of actions never joined in training; without it, captions of two actions are not measured."""
     repeats: int
     options: dict[str, Any]
 
@@ -123,6 +129,27 @@ def model_of(plan: Plan) -> Model:
     return TorchModel(plan.run)
 
 
+def two_actions(plan: Plan, model: Model, items: Sequence[Composed], judges: Judges) -> dict[str, Any]:
+    """Captions of two actions, beside the same two captured actions joined."""
+    rng = np.random.default_rng(3)
+    captured = [one.joints for one in items]
+    clips = as_clips(items)
+    folder = folder_of(model, plan.work, items[0].kind, clips, plan.options)
+    takes = [generated(model, clips, take, folder, **plan.options)[0] for take in range(plan.repeats)]
+    apart = [by_training(items, motions) for motions in takes]
+    return {
+        "clips": len(items),
+        "captured": summarised([composed_scores(items, captured, judges, rng)]),
+        "generated": summarised([composed_scores(items, motions, judges, rng) for motions in takes]),
+        "captured_apart": by_training(items, captured),
+        "generated_apart": {
+            name: {**one, "both_hold": float(np.mean([take[name]["both_hold"] for take in apart]))}
+            for name, one in apart[0].items()
+            if one["clips"]
+        },
+    }
+
+
 def evaluate(plan: Plan) -> dict[str, Any]:
     """Everything, as it is written."""
     model = model_of(plan)
@@ -135,6 +162,7 @@ def evaluate(plan: Plan) -> dict[str, Any]:
         "repeats": plan.repeats,
         "options": plan.options,
         "splits": {},
+        "two_actions": {},
     }
     for split in SPLITS:
         clips = long_enough(read_split(plan.data, split))
@@ -143,11 +171,21 @@ def evaluate(plan: Plan) -> dict[str, Any]:
             "captured": captured_scores(reference, judges, plan.repeats),
             "generated": generated_scores(plan, model, split, reference, judges, has_twin(clips, train)),
         }
+    if plan.held_out is not None:
+        clips = [clip for split in ("val", "dev_test") for clip in long_enough(read_split(plan.data, split))]
+        held = HeldOut.read(plan.held_out)
+        for kind in KINDS:
+            result["two_actions"][kind] = two_actions(plan, model, composed_set(clips, held, kind), judges)
     return result
 
 
+def ratio(made: float, real: float) -> str:
+    """Of generated to captured, for a table."""
+    return f"{made / real:.2f}" if abs(real) > 1e-6 else "-"
+
+
 def table(result: dict[str, Any]) -> str:
-    """Markdown, one table per split."""
+    """Markdown, one table per split and per kind of captions of two actions."""
     lines = [f"{result['model']}, evaluator {result['evaluator']}, {result['repeats']} repeats (mean ± 1.96 s.e.)"]
     for split, parts in result["splits"].items():
         made, real = parts["generated"], parts["captured"]
@@ -160,22 +198,40 @@ def table(result: dict[str, Any]) -> str:
             "|---|---|---|---|---|",
         ]
         for name, value in made["mean"].items():
-            alone = made["without_near_twins"]
+            alone, own = made["without_near_twins"], real[name]["mean"]
             other = f"{alone[name]['mean']:.3f}" if alone and name in alone else "-"
-            own = real[name]["mean"]
-            ratio = f"{value['mean'] / own:.2f}" if abs(own) > 1e-6 else "-"
-            lines.append(
-                f"| {name} | {own:.3f} | {value['mean']:.3f} ± {value['plus_minus']:.3f} | {ratio} | {other} |"
+            cells = (
+                f"{own:.3f} | {value['mean']:.3f} ± {value['plus_minus']:.3f} | {ratio(value['mean'], own)} | {other}"
             )
+            lines.append(f"| {name} | {cells} |")
         if made["multimodality"] is not None:
             lines.append(f"| multimodality | - | {made['multimodality']:.3f} | - | - |")
+    for kind, parts in result["two_actions"].items():
+        lines += two_actions_table(kind, parts)
     return "\n".join(lines) + "\n"
+
+
+def two_actions_table(kind: str, parts: dict[str, Any]) -> list[str]:
+    """Lines of Markdown."""
+    lines = ["", f"**two actions, {kind.replace('_', ' ')}**: {parts['clips']} captions", ""]
+    lines += ["| | captured | generated | ratio |", "|---|---|---|---|"]
+    for name, value in parts["generated"].items():
+        own = parts["captured"][name]["mean"]
+        made = f"{value['mean']:.3f} ± {value['plus_minus']:.3f}"
+        lines.append(f"| {name} | {own:.3f} | {made} | {ratio(value['mean'], own)} |")
+    for name, one in parts["generated_apart"].items():
+        own, held = parts["captured_apart"][name]["both_hold"], one["both_hold"]
+        if held is not None:
+            label = f"both_hold, {one['clips']} pairs {name.replace('_', ' ')}"
+            lines.append(f"| {label} | {own:.3f} | {held:.3f} | {ratio(held, own)} |")
+    return lines
 
 
 def main() -> int:
     """0: measured; 2: wrong input."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--data", type=Path, required=True, help="folder of the captured motion (bandai)")
+    parser.add_argument("--held-out", type=Path, help="held_out_pairs.json: also measure captions of two actions")
     parser.add_argument("--bundle", type=Path, help="folder of a bundle; the default bundle without it")
     parser.add_argument("--run", type=Path, help="a training run instead of a bundle, sampled in torch (comparisons)")
     parser.add_argument("--work", type=Path, default=Path("evaluation"), help="folder for generated clips")
@@ -186,7 +242,9 @@ def main() -> int:
     arguments = parser.parse_args()
     options = {name: getattr(arguments, name) for name in ("steps", "guidance")}
     options = {name: value for name, value in options.items() if value is not None}
-    plan = Plan(arguments.bundle, arguments.run, arguments.data, arguments.work, arguments.repeats, options)
+    plan = Plan(
+        arguments.bundle, arguments.run, arguments.data, arguments.work, arguments.held_out, arguments.repeats, options
+    )
     try:
         result = evaluate(plan)
     except KinegraphError as error:

@@ -118,5 +118,12 @@ def test_the_table_says_both_sides() -> None:
     made = {"clips": 9, "distinct_pairs": 3, "group": 3, "clips_without_near_twin": 4, "mean": {"fid": value},
             "without_near_twins": None, "multimodality": 0.2}  # fmt: skip
     parts = {"captured": {"fid": {"mean": 0.0, "plus_minus": 0.0}}, "generated": made}
-    text = table({"model": "m", "evaluator": "1", "repeats": 2, "splits": {"dev_test": parts}})
+    held = {"clips": 4, "both_hold": 0.9}
+    two = {"clips": 7, "captured": {"fid": {"mean": 0.25}}, "generated": {"fid": value},
+           "captured_apart": {"held_out": held, "joined_in_training": {"clips": 0, "both_hold": None}},
+           "generated_apart": {"held_out": {**held, "both_hold": 0.45}}}  # fmt: skip
+    result = {"model": "m", "evaluator": "1", "repeats": 2, "splits": {"dev_test": parts}}
+    text = table(result | {"two_actions": {"in_order": two}})
+    assert "| fid | 0.250 | 0.500 ± 0.010 | 2.00 |" in text
+    assert "| both_hold, 4 pairs held out | 0.900 | 0.450 | 0.50 |" in text
     assert "| fid | 0.000 | 0.500 ± 0.010 | - | - |" in text

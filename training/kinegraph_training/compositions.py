@@ -12,8 +12,9 @@ from pathlib import Path
 
 import numpy as np
 
+from kinegraph.motion.bones import with_bone_lengths
 from kinegraph.motion.features import features_from_joints, joints_from_features
-from kinegraph.motion.skeleton import JOINT_INDEX, PARENTS, FloatArray, bone_lengths, facing_angle
+from kinegraph.motion.skeleton import JOINT_INDEX, FloatArray, bone_lengths, facing_angle
 from kinegraph_training.data import MotionClip, mirrored_label
 from kinegraph_training.phrases import LOCOMOTION, PHRASES, sequence_caption, splice_caption
 
@@ -72,16 +73,6 @@ def rotated_y(vectors: FloatArray, angle: FloatArray) -> FloatArray:
     cos, sin = np.cos(angle)[:, None], np.sin(angle)[:, None]
     x, z = vectors[..., 0], vectors[..., 2]
     return np.stack([cos * x + sin * z, vectors[..., 1], cos * z - sin * x], axis=-1)
-
-
-def with_bone_lengths(joints: FloatArray, lengths: FloatArray) -> FloatArray:
-    """Every bone at its length (21,) again, directions kept; fading positions shortens bones on the way."""
-    out = joints.copy()
-    for child in range(1, len(PARENTS)):
-        bone = joints[:, child] - joints[:, PARENTS[child]]
-        scale = lengths[child - 1] / np.maximum(np.linalg.norm(bone, axis=-1, keepdims=True), 1e-6)
-        out[:, child] = out[:, PARENTS[child]] + bone * scale
-    return out
 
 
 def splice(carrier: MotionClip, gesture: MotionClip, rng: np.random.Generator) -> FloatArray:

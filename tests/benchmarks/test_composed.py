@@ -1,0 +1,94 @@
+"""Captions of two actions, and how it is told whether both happen."""
+
+from __future__ import annotations
+
+import numpy as np
+import predicates as p
+import pytest
+from composed import ALONE, BESIDE, Composed, composed, composed_set, in_order, pairs, swings
+from composed_scores import as_clips, by_training, score, transition_distance
+from motions import posed, t_pose, turn, walk
+
+from kinegraph_training.compositions import BLEND, HeldOut, joined
+from kinegraph_training.data import MotionClip
+
+UP = {16: turn("z", 1.4)}
+"""The left arm above the head."""
+LIFT = np.stack(
+    [posed(np.zeros(3), {16: turn("z", 1.4 * np.sin(np.pi * part))}) for part in np.linspace(0, 1, 30)]
+).astype(np.float32)
+WALK = walk(40).astype(np.float32)
+HELD = HeldOut(frozenset({frozenset(("walk", "raise-up-left-hand"))}), frozenset({("walk", "raise-up-left-hand")}))
+
+
+def clip(content: str, joints: np.ndarray, style: str = "normal") -> MotionClip:
+    return MotionClip(content, joints, (f"a person does {content}.",), content, style)
+
+
+CLIPS = [clip("walk", WALK), clip("raise-up-left-hand", LIFT)]
+
+
+def test_order_is_told_from_the_other_order() -> None:
+    walks, lifts = p.goes(1, 1, 0.5), p.raises("left")
+    there, back = joined(WALK, LIFT), joined(LIFT, WALK)
+    assert in_order(there, walks, lifts) and not in_order(back, walks, lifts)
+    assert in_order(back, lifts, walks) and not in_order(there, lifts, walks)
+    assert not in_order(WALK, walks, lifts) and not in_order(LIFT, walks, lifts)
+
+
+def test_both_at_once_are_no_sequence_but_hold_together() -> None:
+    (both,) = composed_set(CLIPS, HELD, "together")
+    assert both.contents == ("walk", "raise-up-left-hand") and both.held_out
+    assert both.holds(both.joints) and not both.holds(WALK) and not both.holds(LIFT)
+
+
+def test_a_set_holds_each_pair_in_each_order_and_marks_what_is_held_out() -> None:
+    made = composed_set(CLIPS, HELD, "in_order")
+    assert {(one.contents, one.held_out) for one in made} == {
+        (("walk", "raise-up-left-hand"), True),
+        (("raise-up-left-hand", "walk"), False),
+    }
+    first = made[0]
+    assert first.joints.shape == (40 + 30 - BLEND, 22, 3) and first.cut == 40 - BLEND // 2
+    assert [len(part) for part in first.crops(first.joints)] == [36, 26]
+    assert first.holds(first.joints) and not first.holds(first.joints[::-1])
+    assert [one.captions for one in as_clips(made)] == [(one.caption,) for one in made]
+
+
+def test_styles_are_not_mixed_and_long_motions_are_left_out() -> None:
+    assert composed_set([clip("walk", WALK, "sad"), clip("raise-up-left-hand", LIFT)], HELD, "in_order") == []
+    long = clip("walk", walk(190).astype(np.float32))
+    assert composed("in_order", long, CLIPS[1], HELD, np.random.default_rng(0)) is None
+
+
+def test_pairs_can_be_told_apart() -> None:
+    for kind, judged in (("in_order", ALONE), ("together", BESIDE)):
+        found = pairs(kind)  # type: ignore[arg-type]
+        assert len(found) == len(set(found)) and all(set(pair) <= set(judged) for pair in found)
+        assert not any(("left" in a and "left" in b and "walk" not in a + b) for a, b in found)
+
+
+def test_a_hand_may_swing_while_the_body_travels() -> None:
+    wave = np.stack([posed(np.zeros(3), {16: turn("z", 0.8 * np.sin(step))}) for step in range(40)])
+    moving = wave + np.linspace(0, 2, 40)[:, None, None] * np.array([0, 0, 1.0])
+    assert swings("left")(moving) and not p.waves("left")(moving) and not swings("right")(moving)
+
+
+def test_scores_with_known_answers() -> None:
+    one = np.eye(3, dtype=np.float32)
+    assert (score(one, one), score(one, -one), score(one, np.roll(one, 1, 0))) == (1.0, 0.0, 0.5)
+    assert transition_distance(t_pose(30).astype(np.float32), None) == pytest.approx(0.0, abs=1e-7)
+    # one joint of 22 jumps 0.22 m once: over 2 x BLEND changes that is 0.01 m / (2 BLEND)
+    jump = t_pose(40).astype(np.float32)
+    jump[20:, 20, 1] += 0.22
+    assert transition_distance(jump, 20) == pytest.approx(0.01 / (2 * BLEND), rel=1e-4)
+    # travelling and turning as a whole is no jump
+    turned = walk(30, turning=0.1).astype(np.float32)
+    straight = walk(30).astype(np.float32)
+    assert transition_distance(turned, None) == pytest.approx(transition_distance(straight, None), rel=1e-3)
+
+
+def test_held_out_pairs_are_counted_apart() -> None:
+    made: list[Composed] = composed_set(CLIPS, HELD, "in_order")
+    found = by_training(made, [made[0].joints, WALK])
+    assert found == {"joined_in_training": {"clips": 1, "both_hold": 0.0}, "held_out": {"clips": 1, "both_hold": 1.0}}
