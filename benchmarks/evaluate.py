@@ -200,10 +200,8 @@ def table(result: dict[str, Any]) -> str:
         for name, value in made["mean"].items():
             alone, own = made["without_near_twins"], real[name]["mean"]
             other = f"{alone[name]['mean']:.3f}" if alone and name in alone else "-"
-            cells = (
-                f"{own:.3f} | {value['mean']:.3f} ± {value['plus_minus']:.3f} | {ratio(value['mean'], own)} | {other}"
-            )
-            lines.append(f"| {name} | {cells} |")
+            cells = f"{own:.3f} | {value['mean']:.3f} ± {value['plus_minus']:.3f} | {ratio(value['mean'], own)}"
+            lines.append(f"| {name} | {cells} | {other} |")
         if made["multimodality"] is not None:
             lines.append(f"| multimodality | - | {made['multimodality']:.3f} | - | - |")
     for kind, parts in result["two_actions"].items():

@@ -11,6 +11,7 @@ import torch
 from kinegraph.motion.skeleton import FloatArray
 from kinegraph_training.batches import padded
 from kinegraph_training.config import LEVELS
+from kinegraph_training.dataset import Dataset
 from kinegraph_training.models.vae import MotionVae, VaeConfig
 
 
@@ -54,8 +55,14 @@ class Latents:
 
 
 @torch.no_grad()
-def encode_clips(trained: TrainedVae, features: list[FloatArray]) -> tuple[torch.Tensor, torch.Tensor]:
-    """Posterior mean and standard deviation, (n, c, z) each, in the order given."""
+def encode_clips(trained: TrainedVae, dataset: Dataset) -> tuple[torch.Tensor, torch.Tensor]:
+    """Posterior mean and standard deviation, (n, c, z) each, in the order of the clips.
+
+    Under the autoencoder's own normalisation: the diffusion stage may be given other clips, and thus another.
+    """
+    gain = dataset.std / trained.std
+    shift = (dataset.mean - trained.mean) / trained.std
+    features = [rows * gain + shift for rows in dataset.features]
     order = np.argsort([len(rows) for rows in features], kind="stable")
     config = trained.vae.config
     mean = torch.zeros(len(features), config.tokens, config.latent_width)
@@ -74,14 +81,14 @@ def standardised(mean: torch.Tensor, deviation: torch.Tensor) -> Latents:
     return Latents(mean, deviation, mean.mean(dim=0), scale)
 
 
-def cached_latents(runs: Path, features: list[FloatArray], cache: Path) -> dict[str, Latents]:
-    """All levels; read back from `cache` while it belongs to these checkpoints and this number of clips."""
+def cached_latents(runs: Path, dataset: Dataset, cache: Path) -> dict[str, Latents]:
+    """All levels; read back from `cache` while it belongs to these checkpoints and clips of these lengths."""
     checkpoints = {level: runs / f"vae_{level}" / "last.ckpt" for level in LEVELS}
-    stamp = [len(features), *(path.stat().st_mtime_ns for path in checkpoints.values())]
+    stamp = [*map(len, dataset.features), *(path.stat().st_mtime_ns for path in checkpoints.values())]
     if cache.is_file():
         stored = torch.load(cache, weights_only=True)
         if stored["stamp"] == stamp:
             return {level: standardised(*stored[level]) for level in LEVELS}
-    encoded = {level: encode_clips(read_vae(path), features) for level, path in checkpoints.items()}
+    encoded = {level: encode_clips(read_vae(path), dataset) for level, path in checkpoints.items()}
     torch.save({"stamp": stamp, **encoded}, cache)
     return {level: standardised(*pair) for level, pair in encoded.items()}

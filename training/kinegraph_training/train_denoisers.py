@@ -151,11 +151,11 @@ def batches(arguments: argparse.Namespace, preset: Preset) -> tuple[DataLoader, 
     else:
         graphs = encode_captions(captions, arguments.assets, arguments.run / "captions.npz")
     write_tables(arguments.run, measured(train, graphs))
-    known = cached_latents(arguments.run, train.features, arguments.run / "latents.pt")
+    known = cached_latents(arguments.run, train, arguments.run / "latents.pt")
     latents = {level: known[level] for level in preset.denoiser.levels}
     val_latents = {}
     for level, own in latents.items():
-        posterior = encode_clips(read_vae(arguments.run / f"vae_{level}" / "last.ckpt"), val.features)
+        posterior = encode_clips(read_vae(arguments.run / f"vae_{level}" / "last.ckpt"), val)
         val_latents[level] = Latents(*posterior, own.centre, own.scale)
     config = preset.denoiser_training
     sampler = WeightedRandomSampler(clip_weights(train.clips, preset.data), 200 * config.batch)
