@@ -150,9 +150,8 @@ def two_actions(plan: Plan, model: Model, items: Sequence[Composed], judges: Jud
     }
 
 
-def evaluate(plan: Plan) -> dict[str, Any]:
+def evaluate(plan: Plan, model: Model) -> dict[str, Any]:
     """Everything, as it is written."""
-    model = model_of(plan)
     train = read_split(plan.data, "train")
     lengths = np.mean([bone_lengths(clip.joints).mean(0) for clip in train], axis=0)
     judges = Judges(Evaluator(), Recogniser(train), lengths)
@@ -244,7 +243,7 @@ def main() -> int:
         arguments.bundle, arguments.run, arguments.data, arguments.work, arguments.held_out, arguments.repeats, options
     )
     try:
-        result = evaluate(plan)
+        result = evaluate(plan, model_of(plan))
     except KinegraphError as error:
         print(f"evaluate: error: {error}", file=sys.stderr)
         return 2

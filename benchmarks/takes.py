@@ -5,8 +5,9 @@ from __future__ import annotations
 import hashlib
 import sys
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, Literal, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,11 +34,16 @@ class Model(Protocol):
 class BundleModel:
     """A bundle through the runtime."""
 
-    def __init__(self, folder: Path | None) -> None:
+    def __init__(self, folder: Path | None, spacing: Literal["leading", "trailing"] | None = None) -> None:
         pipe = MotionPipeline.load(folder)
+        if spacing is not None:
+            pipe.manifest = replace(pipe.manifest, schedule=replace(pipe.manifest.schedule, spacing=spacing))
         manifest = pipe.manifest
         self.name = f"{manifest.name} {manifest.version}"
-        parts = [spec.sha256 for _, spec in sorted(manifest.files.items())] + [repr(manifest.defaults)]
+        parts = [spec.sha256 for _, spec in sorted(manifest.files.items())] + [
+            repr(manifest.defaults),
+            manifest.schedule.spacing,
+        ]
         self.stamp = hashlib.sha256("".join(parts).encode()).hexdigest()
         self.fps, self.seconds_limits = manifest.fps, manifest.seconds_limits
         self.generate = pipe.generate
