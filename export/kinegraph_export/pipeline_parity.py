@@ -62,7 +62,8 @@ def level_latent(
         temb = denoiser.clock(torch.tensor([time]), torch.tensor([request.frames]))
         noise = {}
         for name, (context, bias) in cases.items():
-            full = torch.cat([bias, torch.zeros(1, extra)], dim=1)[:, None, None, :]
+            hidden = torch.full((1, extra), MASKED if name == "null" else 0.0)
+            full = torch.cat([bias, hidden], dim=1)[:, None, None, :]
             noise[name] = denoiser.step(latent, temb, context, full)
         guided = noise["null"] + request.guidance[level] * (noise["text"] - noise["null"])
         now, after = table[time], table[max(time - stride, 0)]

@@ -8,7 +8,7 @@ Nodes are ordered motion, actions, specifics, so that what a level sees is a pre
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -54,6 +54,8 @@ class Conditions:
     """(A, N)."""
     bias: FloatArray
     """(A, N) log path weight; PADDING_BIAS on padding."""
+    coarse_bias: FloatArray
+    """(A, 1) 0 where the coarser latent is seen too, PADDING_BIAS where it is not."""
 
 
 def structure(graph: SemanticGraph) -> tuple[IntArray, FloatArray, IntArray, IntArray, FloatArray]:
@@ -137,7 +139,7 @@ def conditions(arrays: Sequence[GraphArrays], encoded: FloatArray) -> Conditions
         kind[row, :size] = graph.kind
         order[row, :size] = graph.order
         bias[row, :size] = log_weight(graph.path_weight)
-    return Conditions(encoded, kind, order, bias)
+    return Conditions(encoded, kind, order, bias, np.zeros((batch, 1), dtype=np.float32))
 
 
 def log_weight(weight: FloatArray) -> FloatArray:
@@ -150,15 +152,21 @@ def for_level(batch: Conditions, kinds: Sequence[str]) -> Conditions:
     seen = np.isin(batch.kind, [NODE_KINDS.index(name) for name in kinds]) & (batch.bias > PADDING_BIAS / 2)
     count = int(np.flatnonzero(seen.any(axis=0)).max(initial=0)) + 1
     bias = np.where(seen, batch.bias, np.float32(PADDING_BIAS))
-    return Conditions(batch.nodes[:, :count], batch.kind[:, :count], batch.order[:, :count], bias[:, :count])
+    nodes, kind, order = batch.nodes[:, :count], batch.kind[:, :count], batch.order[:, :count]
+    return Conditions(nodes, kind, order, bias[:, :count], batch.coarse_bias)
 
 
-def null_like(batch: Conditions) -> Conditions:
-    """The unconditional counterpart, row by row: one learned null token (design: the coarser latent stays)."""
+def without_text(batch: Conditions) -> Conditions:
+    """Row by row, one learned null token in place of the graph; the coarser latent stays."""
     kind = np.full_like(batch.kind, NULL_KIND)
     bias = np.full_like(batch.bias, PADDING_BIAS)
     bias[:, 0] = 0.0
-    return Conditions(np.zeros_like(batch.nodes), kind, np.zeros_like(batch.order), bias)
+    return Conditions(np.zeros_like(batch.nodes), kind, np.zeros_like(batch.order), bias, batch.coarse_bias)
+
+
+def without_anything(batch: Conditions) -> Conditions:
+    """GraphMotion's empty set (Eq. A), row by row: no text and no coarser latent."""
+    return replace(without_text(batch), coarse_bias=np.full_like(batch.coarse_bias, PADDING_BIAS))
 
 
 def stacked(first: Conditions, second: Conditions) -> Conditions:

@@ -49,7 +49,7 @@ def row_network(
     bias = known.bias
     if coarse is not None:
         feeds["coarse"] = coarse
-        bias = np.concatenate([bias, np.zeros(coarse.shape[:2], dtype=np.float32)], axis=1)
+        bias = np.concatenate([bias, np.repeat(known.coarse_bias, coarse.shape[1], axis=1)], axis=1)
     names = [output.name for output in context.get_outputs()]
     keys_values = context.run(names, feeds)
     tokens = step.get_inputs()[0].shape[1]

@@ -21,9 +21,10 @@ from kinegraph.conditions import (
     conditions,
     for_level,
     graph_arrays,
-    null_like,
     padded,
     stacked,
+    without_anything,
+    without_text,
 )
 from kinegraph.contract import LEVELS
 from kinegraph.decoding import decode, finite
@@ -174,7 +175,7 @@ class MotionPipeline:
 
         def predictor_for(number: int, times: DdimCoefficients, coarse: FloatArray | None) -> Predict:
             name = LEVELS[number]
-            plan = composition(weights, shares, options.guidance[name])
+            plan = composition(weights, shares, options.guidance[name], coarse=coarse is not None)
             return self._composer(name, encoded, coarse, options.frames, times, plan)
 
         latent = self._sampled([options], predictor_for, on_step)
@@ -240,7 +241,7 @@ class MotionPipeline:
     ) -> Predict:
         """Guided noise prediction of one level: rows are the unconditional predictions of all samples, then theirs."""
         seen = for_level(encoded, self.manifest.levels[name].nodes)
-        known = stacked(null_like(seen), seen)
+        known = stacked(without_anything(seen), seen)
         twice = None if coarse is None else np.concatenate([coarse, coarse])
         network = self._network(name, known, twice, Wiring.straight(2 * len(frames)), np.tile(frames, 2), times)
 
@@ -261,8 +262,8 @@ class MotionPipeline:
     ) -> Predict:
         """Composed noise prediction of one level, one run per step whatever the method."""
         seen = for_level(encoded, self.manifest.levels[name].nodes)
-        null = null_like(Conditions(*(part[:1] for part in vars(seen).values())))
-        known = stacked(null, seen)
+        first = Conditions(*(part[:1] for part in vars(seen).values()))
+        known = stacked(stacked(without_anything(first), without_text(first)), seen)
         count, rows = len(known.kind), len(plan.mix)
         shared = None if coarse is None else np.repeat(coarse, count, axis=0)
         network = self._network(name, known, shared, plan.wiring, np.full(rows, frames), times)

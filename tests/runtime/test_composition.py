@@ -52,17 +52,25 @@ def wired(latent: np.ndarray, plan: Composition, keys: np.ndarray, values: np.nd
 
 
 def equations(
-    latent: np.ndarray, w: list[float], lambdas: tuple[float, float, float], s: float, k: np.ndarray, v: np.ndarray
+    latent: np.ndarray,
+    w: list[float],
+    lambdas: tuple[float, float, float],
+    s: float,
+    k: np.ndarray,
+    v: np.ndarray,
+    coarse: bool,
 ) -> np.ndarray:
-    """Eq. 7, 8, 9 and 10 as they are printed."""
+    """Eq. 7, 8, 9 and 10; what the concepts share, the coarser latent, is guided to once (`eps({1})`)."""
 
     def eps(shares: dict[int, float]) -> np.ndarray:
         return network(latent, shares, k, v)
 
     null = eps({0: 1.0})
-    by_latent = null + s * sum(weight * (eps({i: 1.0}) - null) for i, weight in enumerate(w, start=1))
-    by_meaning = null + s * (eps({i: weight / sum(w) for i, weight in enumerate(w, start=1)}) - null)
-    by_text = null + s * (eps({len(w) + 1: 1.0}) - null)
+    base = eps({1: 1.0}) if coarse else null
+    added = sum(weight * (eps({i: 1.0}) - base) for i, weight in enumerate(w, start=2))
+    by_latent = null + s * (base - null + added)
+    by_meaning = null + s * (eps({i: weight / sum(w) for i, weight in enumerate(w, start=2)}) - null)
+    by_text = null + s * (eps({len(w) + 2: 1.0}) - null)
     return lambdas[0] * by_latent + lambdas[1] * by_meaning + lambdas[2] * by_text
 
 
@@ -72,21 +80,27 @@ LAMBDAS = [(1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0), (0.1, 0.7, 0.2), (
 @pytest.mark.parametrize("lambdas", LAMBDAS)
 @pytest.mark.parametrize("weights", [[1.0], [0.8, 1.3], [1.0, 1.0, -0.5], [2.0, -0.3, 0.4, 0.1]])
 @pytest.mark.parametrize("scale", [1.0, 2.5])
-def test_one_run_is_the_equations(lambdas: tuple[float, float, float], weights: list[float], scale: float) -> None:
-    keys, values = contexts(len(weights) + 2, seed=len(weights))
+@pytest.mark.parametrize("coarse", [False, True])
+def test_one_run_is_the_equations(
+    lambdas: tuple[float, float, float], weights: list[float], scale: float, coarse: bool
+) -> None:
+    keys, values = contexts(len(weights) + 3, seed=len(weights))
     latent = np.random.default_rng(9).standard_normal((TOKENS, WIDTH))
-    found = wired(latent, composition(weights, lambdas, scale), keys, values)
-    np.testing.assert_allclose(found, equations(latent, weights, lambdas, scale, keys, values), atol=1e-5)
+    found = wired(latent, composition(weights, lambdas, scale, coarse=coarse), keys, values)
+    np.testing.assert_allclose(found, equations(latent, weights, lambdas, scale, keys, values, coarse), atol=2e-5)
 
 
 @given(
     st.lists(st.floats(-1, 3).filter(lambda w: abs(w) > 0.01), min_size=1, max_size=8).filter(lambda w: sum(w) > 0.1),
     st.sampled_from(LAMBDAS),
     st.floats(0, 10),
+    st.booleans(),
 )
-def test_coefficients_sum_to_one(weights: list[float], lambdas: tuple[float, float, float], scale: float) -> None:
+def test_coefficients_sum_to_one(
+    weights: list[float], lambdas: tuple[float, float, float], scale: float, coarse: bool
+) -> None:
     # What all rows agree on is what comes out.
-    plan = composition(weights, lambdas, scale)
+    plan = composition(weights, lambdas, scale, coarse=coarse)
     assert plan.mix.sum() == pytest.approx(1.0, abs=1e-3 * float(1 + np.abs(plan.mix).sum()))
     wiring = plan.wiring
     assert wiring.combine.shape == (len(plan.mix), len(wiring.src)) == (len(plan.mix), len(wiring.context))
@@ -95,17 +109,20 @@ def test_coefficients_sum_to_one(weights: list[float], lambdas: tuple[float, flo
 
 @pytest.mark.parametrize("lambdas", LAMBDAS)
 def test_one_concept_of_weight_one_is_plain_guidance(lambdas: tuple[float, float, float]) -> None:
-    keys, values = contexts(3, seed=4)
-    keys[2], values[2] = keys[1], values[1]  # the joint text of one concept is that concept
+    keys, values = contexts(4, seed=4)
+    keys[3], values[3] = keys[2], values[2]  # the joint text of one concept is that concept
     latent = np.random.default_rng(5).standard_normal((TOKENS, WIDTH))
-    found = wired(latent, composition([1.0], lambdas, 2.5), keys, values)
-    null, text = (network(latent, {k: 1.0}, keys, values) for k in (0, 1))
+    found = wired(latent, composition([1.0], lambdas, 2.5, coarse=True), keys, values)
+    null, text = (network(latent, {k: 1.0}, keys, values) for k in (0, 2))
     np.testing.assert_allclose(found, null + 2.5 * (text - null), atol=1e-5)
 
 
 def test_rows_that_count_for_nothing_are_not_run() -> None:
-    rows = {lambdas: len(composition([1.0, 1.0], lambdas, 2.0).mix) for lambdas in LAMBDAS}
+    rows = {lambdas: len(composition([1.0, 1.0], lambdas, 2.0, coarse=False).mix) for lambdas in LAMBDAS}
     assert rows == dict(zip(LAMBDAS, [3, 2, 2, 5, 4], strict=True))
+    # the shared coarser latent has a row of its own unless the weights sum to 1
+    assert len(composition([1.0, 1.0], (1.0, 0.0, 0.0), 2.0, coarse=True).mix) == 4
+    assert len(composition([0.3, 0.7], (1.0, 0.0, 0.0), 2.0, coarse=True).mix) == 3
 
 
 def test_straight_wiring_keeps_rows_apart() -> None:

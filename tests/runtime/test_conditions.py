@@ -17,9 +17,10 @@ from kinegraph.conditions import (
     for_level,
     graph_arrays,
     log_weight,
-    null_like,
     padded,
     stacked,
+    without_anything,
+    without_text,
 )
 from kinegraph.contract import NODE_KINDS, NULL_KIND, PADDING_BIAS
 from kinegraph.graph import Action, Argument, SemanticGraph
@@ -129,13 +130,20 @@ def test_weight_zero_leaves_what_deletion_leaves() -> None:
 
 
 def test_no_text_is_one_null_token() -> None:
-    blank = null_like(conditions([arrays()], encoded([arrays()])))
+    batch = conditions([arrays()], encoded([arrays()]))
+    blank = without_text(batch)
     assert (blank.kind == NULL_KIND).all() and (blank.order == 0).all() and (blank.nodes == 0).all()
     np.testing.assert_array_equal(blank.bias[0], [0.0] + [PADDING_BIAS] * 3)
+    # the coarser latent is seen without the text, and not in the empty set
+    nothing = without_anything(batch)
+    assert [float(one.coarse_bias[0, 0]) for one in (batch, blank, nothing)] == [0.0, 0.0, PADDING_BIAS]
+    assert all(
+        np.array_equal(a, b) for a, b in zip(list(vars(nothing).values())[:4], vars(blank).values(), strict=False)
+    )
 
 
 def test_stacking_keeps_rows_apart() -> None:
     batch = conditions([arrays()], encoded([arrays()]))
-    rows = stacked(null_like(batch), batch)
+    rows = stacked(without_text(batch), batch)
     np.testing.assert_array_equal(rows.nodes[1], batch.nodes[0])
     np.testing.assert_array_equal(rows.kind[:, 0], [NULL_KIND, MOTION])

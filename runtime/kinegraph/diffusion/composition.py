@@ -1,16 +1,18 @@
 """Composing predictions of one step (EnergyMoGen, Eq. 7-10) around the step graph's `src` and `combine`.
 
-n concepts with weights w_i, guidance scale s, unconditional prediction eps_0 (no text, the shared coarser latent):
+n concepts with weights w_i, guidance scale s, predictions eps_0 (neither text nor coarser latent) and eps_c (no text,
+but the coarser latent, which all concepts share; eps_0 at the coarsest level):
 
-    latent-aware    eps^l = eps_0 + s sum_i w_i (eps_i - eps_0)              Eq. 7 (w_i > 0), Eq. 8 (w_i < 0)
+    latent-aware    eps^l = eps_0 + s (eps_c - eps_0 + sum_i w_i (eps_i - eps_c))  Eq. 7 (w_i > 0), Eq. 8 (w_i < 0)
     semantic-aware  eps^s = eps_0 + s (eps(z') - eps_0)
-                    z' = sum_i w_i z'_i / sum_i w_i in every cross-attention  Eq. 9
+                    z' = sum_i w_i z'_i / sum_i w_i in every cross-attention        Eq. 9
     joint text      eps^m = eps_0 + s (eps_text - eps_0)
-    fused           lambda_l eps^l + lambda_s eps^s + lambda_m eps^m          Eq. 10
+    fused           lambda_l eps^l + lambda_s eps^s + lambda_m eps^m                Eq. 10
 
-The paper's w_i of Eq. 7 and 8 is our s w_i. Every term is a guided prediction, so that one concept of weight 1 is
-plain guidance for any lambdas that sum to 1. All of it is linear in the rows of one run: a row is a prediction, and
-`mix` holds the coefficient of each.
+The paper's w_i of Eq. 7 and 8 is our s w_i. Concepts are told apart by what they add to eps_c: against eps_0, the
+coarser latent would count once per concept. Every term is a guided prediction, so that one concept of weight 1 is plain
+guidance for any lambdas that sum to 1. All of it is linear in the rows of one run: a row is a prediction, and `mix`
+holds the coefficient of each.
 """
 
 from __future__ import annotations
@@ -52,22 +54,29 @@ class Composition:
     """(R,) coefficients; they sum to 1."""
 
 
-def composition(weights: Sequence[float], lambdas: tuple[float, float, float], scale: float) -> Composition:
+def composition(
+    weights: Sequence[float], lambdas: tuple[float, float, float], scale: float, *, coarse: bool
+) -> Composition:
     """Rows for the terms whose lambda is not 0.
 
-    Contexts are numbered 0 for no text, 1 .. n for the concepts, n + 1 for the joint text. Rows come in the same
-    order, with the semantic row before that of the joint text.
+    Contexts are numbered 0 for nothing, 1 for no text beside the coarser latent, 2 .. n + 1 for the concepts, n + 2 for
+    the joint text. Rows come in the same order, with the semantic row before that of the joint text.
 
     Args:
         weights: w_1 .. w_n.
         lambdas: of the latent-aware, the semantic-aware and the joint-text term.
         scale: guidance s of the level.
+        coarse: whether there is a coarser latent.
     """
     latent, semantic, joint = lambdas
     w = np.asarray(weights, dtype=np.float64)
-    concepts = np.arange(1, len(w) + 1)
+    concepts = np.arange(2, len(w) + 2)
     rows: list[list[tuple[int, float]]] = [[(0, 1.0)]]
     mix = [0.0]
+    shared = scale * latent * (1.0 - w.sum())
+    if coarse and abs(shared) > 1e-9:
+        rows.append([(1, 1.0)])
+        mix.append(shared)
     if latent:
         rows += [[(int(concept), 1.0)] for concept in concepts]
         mix += list(scale * latent * w)
@@ -76,7 +85,7 @@ def composition(weights: Sequence[float], lambdas: tuple[float, float, float], s
         rows.append([(int(concept), float(share)) for concept, share in zip(concepts, shares, strict=True)])
         mix.append(scale * semantic)
     if joint:
-        rows.append([(len(w) + 1, 1.0)])
+        rows.append([(len(w) + 2, 1.0)])
         mix.append(scale * joint)
     mix[0] = 1.0 - sum(mix)
     return Composition(_wiring(rows), np.array(mix, dtype=np.float32))
