@@ -111,7 +111,7 @@ def _add_sampling(parser: argparse.ArgumentParser) -> None:
         type=Path,
         required=True,
         metavar="FILE",
-        help="the suffix says the format: .npz, .bvh",
+        help="the suffix says the format: .npz, .bvh, .png",
     )
     parser.add_argument("--seconds", type=float, metavar="S", help="length; without it the sentence decides")
     parser.add_argument("--seed", type=int, help="the same seed gives the same clip; default: a new one")

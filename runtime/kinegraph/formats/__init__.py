@@ -13,6 +13,7 @@ if TYPE_CHECKING:
 WRITERS: Final[dict[str, str]] = {
     ".bvh": "kinegraph.formats.bvh",
     ".npz": "kinegraph.formats.npz",
+    ".png": "kinegraph.formats.png",
 }
 """Suffix -> module with `encode(clip) -> bytes`; loaded when used: a format may need an optional package."""
 
