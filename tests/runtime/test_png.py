@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import struct
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +11,7 @@ from motions import walk
 
 from kinegraph.errors import MissingExtraError
 from kinegraph.formats import encode
+from kinegraph.formats.atomic import check_target
 from kinegraph.motion.clip import Clip
 
 
@@ -57,7 +57,10 @@ def test_one_frame_far_away_is_drawn() -> None:
 
 
 def test_without_matplotlib_the_way_out_is_named(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
+    monkeypatch.setattr("kinegraph.formats.find_spec", lambda package: None)
     with pytest.raises(MissingExtraError, match=r"kinegraph\[plot\]"):
         clip(walk(20)).save(tmp_path / "clip.png")
+    with pytest.raises(MissingExtraError):  # before anything is computed
+        check_target(tmp_path / "clip.png")
+    check_target(tmp_path / "clip.bvh")
     assert list(tmp_path.iterdir()) == []

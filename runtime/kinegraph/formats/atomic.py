@@ -8,7 +8,7 @@ import stat
 from pathlib import Path
 
 from kinegraph.errors import OutputError
-from kinegraph.formats import WRITERS
+from kinegraph.formats import WRITERS, check_installed
 
 
 def check_target(path: str | os.PathLike[str], force: bool = False) -> None:
@@ -21,13 +21,14 @@ def check_target(path: str | os.PathLike[str], force: bool = False) -> None:
     Raises:
         OutputError: unknown suffix, missing or unwritable folder, a directory or device, or an existing file
             without `force`. Nothing has been written.
+        MissingExtraError: the format needs a package that is not installed.
     """
     target = Path(path)
     name = repr(str(target))
     mode = _mode(target)
     if mode is not None and stat.S_ISDIR(mode):
         raise OutputError(f"{name} is a directory; name a file, for example {str(target / 'clip.npz')!r}")
-    suffix_of(target)
+    check_installed(suffix_of(target))
     _check_folder(target)
     if mode is None:
         return

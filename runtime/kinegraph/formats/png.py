@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from kinegraph.errors import MissingExtraError
 from kinegraph.motion.skeleton import JOINT_NAMES, PARENTS, FloatArray, facing_angle
 
 if TYPE_CHECKING:
@@ -25,15 +24,9 @@ _REACH: Final = 0.8
 
 
 def encode(clip: Clip) -> bytes:
-    """The picture's bytes; equal clips give equal bytes.
+    """The picture's bytes; equal clips give equal bytes."""
+    from matplotlib.figure import Figure
 
-    Raises:
-        MissingExtraError: matplotlib is not installed.
-    """
-    try:
-        from matplotlib.figure import Figure
-    except ImportError as error:
-        raise MissingExtraError('pictures need matplotlib: pip install "kinegraph[plot]"') from error
     figure = Figure(figsize=(1.4 * (POSES + 1.5), 2.9), dpi=110)
     axes = figure.subplots(1, POSES + 1, width_ratios=[1.0] * POSES + [1.5])
     frames = np.linspace(0, clip.frames - 1, POSES).round().astype(int)
