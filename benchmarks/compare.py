@@ -19,9 +19,9 @@ from typing import Any
 import numpy as np
 
 from kinegraph.bundle import DEFAULT_BUNDLE
+from kinegraph.contract import LEVELS
 
 HERE = Path(__file__).resolve().parent
-LEVELS = ("motion", "action", "specific")
 COLUMNS = ("r_precision_1", "fid", "mm_dist", "behaviour", "content", "style", "claims_degrees", "foot_skate", "jerk")
 
 

@@ -31,25 +31,12 @@ STEP = 4
 """Frames between the moments at which one action may give way to the next."""
 
 
-def swings(side: str) -> p.Predicate:
-    """`predicates.waves` for a body that may travel."""
-
-    def holds(joints: Joints) -> bool:
-        left, right = p.wrist_path(joints, "left"), p.wrist_path(joints, "right")
-        if side == "both":
-            return min(left, right) > 0.8
-        moving, still = (left, right) if side == "left" else (right, left)
-        return moving > 0.8 and moving > 2 * still
-
-    return holds
-
-
 ALONE: dict[str, p.Predicate] = {behaviour.content: behaviour.holds for behaviour in CONTENTS + RARE}
 """The predicate of an action that nothing else goes on beside."""
 BESIDE = ALONE | {
     "wave-left-hand": lambda joints: p.wrist_path(joints, "left") > 0.8,
     "wave-right-hand": lambda joints: p.wrist_path(joints, "right") > 0.8,
-    "wave-both-hands": swings("both"),
+    "wave-both-hands": p.swings("both"),
     "raise-up-left-hand": lambda joints: p.above_head(joints, "left"),
     "raise-up-right-hand": lambda joints: p.above_head(joints, "right"),
 }

@@ -10,12 +10,12 @@ import measures
 import numpy as np
 from composed import Composed
 from numpy.typing import NDArray
-from scores import DRAWS, GROUP, Judges
+from scores import Judges, grouped_r_precision
 
 from kinegraph.motion.skeleton import facing_angle
 from kinegraph_training.compositions import BLEND, rotated_y
 from kinegraph_training.data import MotionClip
-from kinegraph_training.metrics import frechet_distance, label_groups, r_precision
+from kinegraph_training.metrics import frechet_distance
 
 Joints = NDArray[np.float32]
 
@@ -50,8 +50,7 @@ def composed_scores(
     embedded = judges.evaluator.motions(crops)
     texts = judges.evaluator.captions([text for one in items for text in one.texts])
     parts = judges.evaluator.motions([part for one in items for part in one.parts])
-    groups = [rows for _ in range(DRAWS) for rows in label_groups(labels, GROUP, rng)]
-    hits = np.mean([r_precision(texts[rows], embedded[rows]) for rows in groups], axis=0)
+    hits = grouped_r_precision(texts, embedded, labels, rng)
     whole, captured = (judges.evaluator.motions(one) for one in (motions, [item.joints for item in items]))
     pairs = list(zip(items, motions, strict=True))
     cuts = [one.cut if one.kind == "in_order" else None for one in items]

@@ -79,25 +79,32 @@ def raises(side: str) -> Predicate:
     return lambda joints: all(above_head(joints, each) == (side in (each, "both")) for each in ("left", "right"))
 
 
-def waves(side: str) -> Predicate:
-    """That wrist travels more than 0.8 m and twice as far as the other, standing; "both": both wrists do."""
+def stands(joints: Joints) -> bool:
+    """Ends less than 0.5 m from where it started."""
+    return bool(np.linalg.norm(displacement(joints)) < 0.5)
+
+
+def swings(side: str) -> Predicate:
+    """That wrist travels more than 0.8 m and twice as far as the other; "both": both wrists travel so far."""
 
     def holds(joints: Joints) -> bool:
         left, right = wrist_path(joints, "left"), wrist_path(joints, "right")
-        stands = bool(np.linalg.norm(displacement(joints)) < 0.5)
         if side == "both":
-            return stands and min(left, right) > 0.8
+            return min(left, right) > 0.8
         moving, still = (left, right) if side == "left" else (right, left)
-        return stands and moving > 0.8 and moving > 2 * still
+        return moving > 0.8 and moving > 2 * still
 
     return holds
 
 
+def waves(side: str) -> Predicate:
+    """Swings that hand, or both, standing."""
+    return both(stands, swings(side))
+
+
 def waves_a_hand(joints: Joints) -> bool:
     """Any wrist travels more than 0.8 m, standing."""
-    return max(wrist_path(joints, "left"), wrist_path(joints, "right")) > 0.8 and bool(
-        np.linalg.norm(displacement(joints)) < 0.5
-    )
+    return max(wrist_path(joints, "left"), wrist_path(joints, "right")) > 0.8 and stands(joints)
 
 
 def bows(joints: Joints) -> bool:

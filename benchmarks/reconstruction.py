@@ -18,19 +18,18 @@ import torch
 from evaluator import Evaluator
 from numpy.typing import NDArray
 from recogniser import Recogniser
-from scores import GROUP
+from scores import Reference, grouped_r_precision, recognised
 
 from kinegraph.motion.features import features_from_joints, joints_from_features
 from kinegraph_training.batches import padded
 from kinegraph_training.config import LEVELS
 from kinegraph_training.data import MotionClip, read_split
 from kinegraph_training.latents import TrainedVae, read_vae
-from kinegraph_training.metrics import frechet_distance, label_groups, r_precision
+from kinegraph_training.metrics import frechet_distance
 from kinegraph_training.train_vae import reconstruction_scores
 
 SPLITS = ("val", "dev_test", "dev_compositional")
 MIN_FRAMES, MAX_FRAMES = 16, 196
-DRAWS = 20
 
 
 @torch.no_grad()
@@ -52,14 +51,11 @@ def level_scores(
     motions, captured = ([joints_from_features(rows) for rows in part] for part in (results, sources))
     embedded, real = evaluator.motions(motions), evaluator.motions(captured)
     texts = evaluator.captions([clip.captions[0] for clip in clips])
-    labels, rng = [f"{clip.content}/{clip.style}" for clip in clips], np.random.default_rng(0)
-    groups = [rows for _ in range(DRAWS) for rows in label_groups(labels, GROUP, rng)]
+    reference = Reference(clips, real)
+    hits = grouped_r_precision(texts, embedded, reference.labels, np.random.default_rng(0))
     found = {name: float(np.mean([one[name] for one in errors])) for name in ("local_mm", "global_mm")}
     found["fid"] = frechet_distance(embedded, real)
-    found["r_precision_1"] = float(np.mean([r_precision(texts[rows], embedded[rows])[0] for rows in groups]))
-    for name in ("content", "style"):
-        wanted = [getattr(clip, name) for clip in clips]
-        found[name] = float(np.mean([a == b for a, b in zip(recogniser(motions, name), wanted, strict=True)]))
+    found |= {"r_precision_1": float(hits[0]), **recognised(motions, clips, recogniser)}
     for name, measure in (("jerk", measures.jerk), ("foot_skate", measures.foot_skate)):
         made, own = (float(np.nanmean([measure(joints) for joints in part])) for part in (motions, captured))
         found[f"{name}_ratio"] = made / own

@@ -54,8 +54,7 @@ def scores(
 ) -> tuple[dict[str, float], NDArray[np.float32], NDArray[np.float32]]:
     """Numbers of one motion per clip of the reference; also the embeddings (n, e) of motions and of captions."""
     embedded, texts = judges.evaluator.motions(motions), judges.evaluator.captions(captions)
-    groups = [rows for _ in range(DRAWS) for rows in label_groups(reference.labels, GROUP, rng)]
-    hits = np.mean([r_precision(texts[rows], embedded[rows]) for rows in groups], axis=0)
+    hits = grouped_r_precision(texts, embedded, reference.labels, rng)
     found = {f"r_precision_{place}": float(hit) for place, hit in enumerate(hits, start=1)}
     found["fid"] = frechet_distance(embedded, reference.embeddings)
     half, other = np.array_split(rng.permutation(len(embedded)), 2)
@@ -63,11 +62,22 @@ def scores(
     found["fid_of_halves"] = frechet_distance(embedded[half], reference.embeddings[other])
     found["mm_dist"] = matching_distance(texts, embedded)
     found["diversity"] = diversity(embedded, rng)
-    found |= behaviour_scores(motions, captions, reference.clips) | recognised(motions, reference.clips, judges)
+    found |= behaviour_scores(motions, captions, reference.clips) | recognised(
+        motions, reference.clips, judges.recogniser
+    )
     found["jerk"] = float(np.mean([measures.jerk(joints) for joints in motions]))
     found["foot_skate"] = float(np.nanmean([measures.foot_skate(joints) for joints in motions]))
     found["bone_error_mm"] = float(np.mean([measures.bone_error(joints, judges.bone_lengths) for joints in motions]))
     return found, embedded, texts
+
+
+def grouped_r_precision(
+    texts: NDArray[np.float32], motions: NDArray[np.float32], labels: Sequence[str], rng: np.random.Generator
+) -> NDArray[np.float64]:
+    """R-precision top 1, 2, 3 in groups of distinct labels, mean over `DRAWS` ways to group: (3,)."""
+    groups = [rows for _ in range(DRAWS) for rows in label_groups(labels, GROUP, rng)]
+    found: NDArray[np.float64] = np.mean([r_precision(texts[rows], motions[rows]) for rows in groups], axis=0)
+    return found
 
 
 def behaviour_scores(
@@ -87,11 +97,11 @@ def behaviour_scores(
     return {"behaviour": float(np.mean(held)), **found}
 
 
-def recognised(motions: Sequence[Joints], clips: Sequence[MotionClip], judges: Judges) -> dict[str, float]:
+def recognised(motions: Sequence[Joints], clips: Sequence[MotionClip], recogniser: Recogniser) -> dict[str, float]:
     """How often content and style are recognised as those of the caption's clip."""
     found = {}
     for name in ("content", "style"):
-        seen = judges.recogniser(motions, name)
+        seen = recogniser(motions, name)
         found[name] = float(np.mean([one == getattr(clip, name) for one, clip in zip(seen, clips, strict=True)]))
     return found
 

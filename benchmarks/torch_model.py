@@ -16,7 +16,7 @@ from kinegraph.conditions import GraphArrays
 from kinegraph.contract import LEVELS
 from kinegraph.diffusion.sampler import LevelPlan, initial_noise
 from kinegraph.motion.bones import with_bone_lengths
-from kinegraph.tables import BONE_LENGTHS
+from kinegraph.tables import bones_of
 from kinegraph_export.checkpoints import read_run
 from kinegraph_export.pipeline_parity import Request, torch_joints
 from kinegraph_training.caption_graphs import CaptionEncoder
@@ -50,8 +50,7 @@ class TorchModel:
         self._trained, self._own = read_run(run)
         self._encoder = CaptionEncoder(text_files)
         self._config = self._trained.hierarchy.config
-        measured = read_tables(run)
-        self._bones = measured[BONE_LENGTHS][0] if BONE_LENGTHS in measured else None
+        self._bones = bones_of(read_tables(run))
 
     def generate(
         self, caption: str, *, seconds: float, seed: int, steps: list[int] | None = None, guidance: float = GUIDANCE

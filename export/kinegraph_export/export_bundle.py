@@ -42,7 +42,7 @@ from kinegraph.motion.skeleton import JOINT_NAMES, PARENTS, FloatArray
 from kinegraph.onnx_ops import summarise
 from kinegraph.options import generate_options
 from kinegraph.pipeline import MotionPipeline
-from kinegraph.tables import BONE_LENGTHS
+from kinegraph.tables import bones_of
 from kinegraph.text.roles import ROLES
 from kinegraph_export.checkpoints import read_run
 from kinegraph_export.graphs import Trained, export_graphs, level_specs
@@ -188,8 +188,7 @@ def export_bundle(run: Path, assets: Path, card: Card, out: Path) -> Manifest:
     with tempfile.TemporaryDirectory() as folder:
         staged = Path(folder) / "bundle"
         write_bundle(staged, draft, files)
-        bones = measured[BONE_LENGTHS][0] if BONE_LENGTHS in measured else None
-        distance = pipeline_difference(staged, trained, own, bones)
+        distance = pipeline_difference(staged, trained, own, bones_of(measured))
         if not distance <= MAX_PIPELINE_MM:
             raise ParityError(
                 f"the runtime's joints differ from torch's by {distance:.3f} mm, more than {MAX_PIPELINE_MM}"

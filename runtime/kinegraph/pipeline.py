@@ -39,7 +39,7 @@ from kinegraph.motion.clip import Clip
 from kinegraph.network import RowNetwork, row_network, time_embedding
 from kinegraph.options import GenerateOptions, Guidance, Steps, generate_options
 from kinegraph.sessions import Sessions, open_sessions
-from kinegraph.tables import BONE_LENGTHS, DURATION
+from kinegraph.tables import DURATION, bones_of
 from kinegraph.text.parser import LazyParser, check_caption
 from kinegraph.text.tokens import CaptionTokenizer
 
@@ -191,7 +191,7 @@ class MotionPipeline:
         return replace(options, frames=frames, seconds=frames / self.manifest.fps)
 
     def _clip(self, latent: FloatArray, options: GenerateOptions, text: str) -> Clip:
-        bones = self._tables[BONE_LENGTHS][0] if BONE_LENGTHS in self._tables else None
+        bones = bones_of(self._tables)
         (joints,) = decode(self._sessions.decoder, self.manifest, bones, latent, [options.frames])
         bundle = f"{self.manifest.name} {self.manifest.version}"
         return Clip(joints=joints, fps=self.manifest.fps, seed=options.seed, text=text, bundle=bundle)

@@ -40,6 +40,11 @@ def table_shapes(manifest: Manifest) -> dict[str, tuple[int, int]]:
     return shapes
 
 
+def bones_of(tables: Mapping[str, FloatArray]) -> FloatArray | None:
+    """(21,) metres of the one body that is known; None where there is none."""
+    return tables[BONE_LENGTHS][0] if BONE_LENGTHS in tables else None
+
+
 def read_tables(data: bytes, manifest: Manifest) -> Mapping[str, FloatArray]:
     """Read the tables from memory, without pickle.
 

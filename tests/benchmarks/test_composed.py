@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import predicates as p
 import pytest
-from composed import ALONE, BESIDE, Composed, composed, composed_set, in_order, pairs, swings
+from composed import ALONE, BESIDE, Composed, composed, composed_set, in_order, pairs
 from composed_scores import as_clips, by_training, score, transition_distance
 from motions import posed, t_pose, turn, walk
 
@@ -71,7 +71,7 @@ def test_pairs_can_be_told_apart() -> None:
 def test_a_hand_may_swing_while_the_body_travels() -> None:
     wave = np.stack([posed(np.zeros(3), {16: turn("z", 0.8 * np.sin(step))}) for step in range(40)])
     moving = wave + np.linspace(0, 2, 40)[:, None, None] * np.array([0, 0, 1.0])
-    assert swings("left")(moving) and not p.waves("left")(moving) and not swings("right")(moving)
+    assert p.swings("left")(moving) and not p.waves("left")(moving) and not p.swings("right")(moving)
 
 
 def test_scores_with_known_answers() -> None:
