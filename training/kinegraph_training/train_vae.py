@@ -36,7 +36,7 @@ run that starts with these terms never leaves that answer (82 mm after 1,000 ste
 
 
 def motion_ramp(step: int, steps: int) -> float:
-    """Weight of MOTION_TERMS: 0 for the first tenth of a run, 1 from four tenths on."""
+    """Weight of MOTION_TERMS in a run from nothing: 0 for its first tenth, 1 from four tenths on."""
     return min(1.0, max(0.0, (step / steps - 0.1) / 0.3))
 
 
@@ -49,8 +49,17 @@ class VaeModule(L.LightningModule):
         self.vae = MotionVae(config)
         self.training_config = training
         self.weights = ReconstructionLoss()
+        self.poses_known = False
+        """Started from weights that know poses: MOTION_TERMS count from the first step."""
         self.register_buffer("mean", torch.tensor(mean))
         self.register_buffer("std", torch.tensor(std))
+
+    def start_from(self, checkpoint: Path) -> None:
+        """Take the weights of another run's checkpoint; normalisation and schedule stay this run's own."""
+        weights = torch.load(checkpoint, map_location="cpu", weights_only=True)["state_dict"]
+        own = {name.removeprefix("vae."): value for name, value in weights.items() if name.startswith("vae.")}
+        self.vae.load_state_dict(own)
+        self.poses_known = True
 
     def training_step(self, batch: tuple[Tensor, Tensor], index: int) -> Tensor:
         features, mask = batch
@@ -58,7 +67,7 @@ class VaeModule(L.LightningModule):
         latent = mean + torch.randn_like(mean) * torch.exp(0.5 * log_variance)
         decoded = self.vae.decode(latent, mask)
         with torch.autocast(self.device.type, enabled=False):
-            ramp = motion_ramp(self.global_step, self.training_config.steps)
+            ramp = 1.0 if self.poses_known else motion_ramp(self.global_step, self.training_config.steps)
             terms = reconstruction_terms(decoded.float(), features, mask, self.std, self.mean, self.weights)
             terms = {name: value * ramp if name in MOTION_TERMS else value for name, value in terms.items()}
             terms["kl"] = self.weights.kl * kl_divergence(mean.float(), log_variance.float())
@@ -133,6 +142,7 @@ def main(argv: list[str] | None = None) -> None:
     """Command line."""
     parser = argparse.ArgumentParser(prog="kinegraph_training.train_vae", description=__doc__.split("\n")[0])
     parser.add_argument("--level", choices=LEVELS, required=True)
+    parser.add_argument("--start-from", type=Path, help="checkpoint of the same shape whose weights a new run starts with")
     add_common_arguments(parser)
     arguments, lightning = parser.parse_known_args(argv)
     preset = read_preset(arguments.preset)
@@ -143,6 +153,8 @@ def main(argv: list[str] | None = None) -> None:
     train = training_set(arguments.data, preset.data, arguments.held_out)
     val = validation_set(arguments.data, "val", preset.data, train.mean, train.std)
     module = VaeModule(preset.vae[arguments.level], config, train.mean.tolist(), train.std.tolist())
+    if arguments.start_from:
+        module.start_from(arguments.start_from)
     run = arguments.run / f"vae_{arguments.level}"
     loop = trainer(run, config, validate_every=min(1000, config.steps), lightning=lightning_flags(lightning))
     loop.fit(module, *loaders(train, val, preset, arguments.level), ckpt_path=last_checkpoint(run))

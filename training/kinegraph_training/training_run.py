@@ -114,6 +114,12 @@ def draw_curves(path: Path, rows: list[Row]) -> None:
     pyplot.close(figure)
 
 
+def fast_precision() -> str:
+    """Mixed bfloat16 where the hardware multiplies it; on a CPU without AVX-512 it is 13 times slower than float32."""
+    fast = torch.cuda.is_available() or "AVX512" in torch.backends.cpu.get_cpu_capability()
+    return "bf16-mixed" if fast else "32-true"
+
+
 def trainer(run: Path, config: OptimiserConfig, *, validate_every: int, lightning: dict[str, Any]) -> L.Trainer:
     """A Lightning trainer that resumes from `run/last.ckpt`; `lightning` are its own flags (devices, strategy ...)."""
     # Lightning empties the folder of a table it opens, so each start gets its own
@@ -122,7 +128,7 @@ def trainer(run: Path, config: OptimiserConfig, *, validate_every: int, lightnin
     checkpoint = ModelCheckpoint(dirpath=run, save_last=True, save_top_k=0, every_n_train_steps=validate_every)
     options: dict[str, Any] = {
         "accelerator": "auto",
-        "precision": "bf16-mixed",
+        "precision": fast_precision(),
         "max_steps": config.steps,
         "gradient_clip_val": config.clip,
         "val_check_interval": validate_every,
