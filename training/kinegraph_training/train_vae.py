@@ -18,6 +18,7 @@ import torch
 from torch import Tensor
 from torch.utils.data import DataLoader
 
+from kinegraph.errors import InvalidInputError
 from kinegraph.motion.features import joints_from_features
 from kinegraph.motion.skeleton import FEET
 from kinegraph_training.batches import FrameBudgetSampler, cropped, padded
@@ -55,10 +56,19 @@ class VaeModule(L.LightningModule):
         self.register_buffer("std", torch.tensor(std))
 
     def start_from(self, checkpoint: Path) -> None:
-        """Take the weights of another run's checkpoint; normalisation and schedule stay this run's own."""
+        """Take the weights of another run's checkpoint; normalisation and schedule stay this run's own.
+
+        Raises:
+            InvalidInputError: no such file, or weights of another shape.
+        """
+        if not checkpoint.is_file():
+            raise InvalidInputError(f"--start-from {checkpoint}: there is no such file")
         weights = torch.load(checkpoint, map_location="cpu", weights_only=True)["state_dict"]
         own = {name.removeprefix("vae."): value for name, value in weights.items() if name.startswith("vae.")}
-        self.vae.load_state_dict(own)
+        try:
+            self.vae.load_state_dict(own)
+        except RuntimeError as error:
+            raise InvalidInputError(f"--start-from {checkpoint}: not this preset's autoencoder: {error}") from error
         self.poses_known = True
 
     def training_step(self, batch: tuple[Tensor, Tensor], index: int) -> Tensor:
@@ -142,7 +152,9 @@ def main(argv: list[str] | None = None) -> None:
     """Command line."""
     parser = argparse.ArgumentParser(prog="kinegraph_training.train_vae", description=__doc__.split("\n")[0])
     parser.add_argument("--level", choices=LEVELS, required=True)
-    parser.add_argument("--start-from", type=Path, help="checkpoint of the same shape whose weights a new run starts with")
+    parser.add_argument(
+        "--start-from", type=Path, help="checkpoint of the same shape whose weights a new run starts with"
+    )
     add_common_arguments(parser)
     arguments, lightning = parser.parse_known_args(argv)
     preset = read_preset(arguments.preset)

@@ -1,0 +1,70 @@
+"""An autoencoder that starts from the weights of another."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+torch = pytest.importorskip("torch")
+pytest.importorskip("lightning")
+
+from kinegraph.errors import InvalidInputError  # noqa: E402
+from kinegraph_training.config import LEVELS, read_preset  # noqa: E402
+from kinegraph_training.latents import read_vae  # noqa: E402
+from kinegraph_training.train_vae import MOTION_TERMS, VaeModule  # noqa: E402
+
+WEIGHTS = Path(__file__).parents[2] / "weights" / "edge"
+
+
+def module(seed: int) -> VaeModule:
+    preset = read_preset("tiny")
+    torch.manual_seed(seed)
+    return VaeModule(preset.vae["specific"], preset.vae_training["specific"], [0.5 * seed] * 137, [1.0] * 137)
+
+
+def logged_terms(own: VaeModule, monkeypatch: pytest.MonkeyPatch) -> dict[str, float]:
+    """Weighted terms of one training step, its first."""
+    seen: dict[str, float] = {}
+    monkeypatch.setattr(
+        own, "log_dict", lambda values, **_: seen.update({name: value.item() for name, value in values.items()})
+    )
+    monkeypatch.setattr(own, "log", lambda *_, **__: None)
+    own.training_step((torch.randn(2, 24, 137), torch.ones(2, 24)), 0)
+    return seen
+
+
+def test_weights_come_over_and_the_normalisation_does_not(tmp_path: Path) -> None:
+    other, own = module(1), module(2)
+    torch.save({"state_dict": other.state_dict()}, tmp_path / "other.ckpt")
+    own.start_from(tmp_path / "other.ckpt")
+    for name, value in own.vae.state_dict().items():
+        assert torch.equal(value, other.vae.state_dict()[name]), name
+    assert (own.mean == 1.0).all()
+
+
+def test_who_knows_poses_is_held_to_their_motion_at_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    own = module(1)
+    torch.save({"state_dict": own.state_dict()}, tmp_path / "own.ckpt")
+    before = logged_terms(own, monkeypatch)
+    own.start_from(tmp_path / "own.ckpt")
+    after = logged_terms(own, monkeypatch)
+    assert all(before[f"train/{name}"] == 0 < after[f"train/{name}"] for name in MOTION_TERMS)
+
+
+def test_weights_of_another_shape_or_none_are_refused(tmp_path: Path) -> None:
+    preset = read_preset("tiny")
+    motion = VaeModule(preset.vae["motion"], preset.vae_training["motion"], [0.0] * 137, [1.0] * 137)
+    torch.save({"state_dict": motion.state_dict()}, tmp_path / "motion.ckpt")
+    with pytest.raises(InvalidInputError, match="not this preset's"):
+        module(1).start_from(tmp_path / "motion.ckpt")
+    with pytest.raises(InvalidInputError, match="no such file"):
+        module(1).start_from(tmp_path / "nothing.ckpt")
+
+
+@pytest.mark.skipif(not WEIGHTS.is_dir(), reason="needs a checkout: weights are not in the package")
+@pytest.mark.parametrize("level", LEVELS)
+def test_the_weights_of_this_repository_are_the_preset_s(level: str) -> None:
+    found = read_vae(WEIGHTS / f"vae_{level}.ckpt")
+    assert found.vae.config == read_preset("edge").vae[level]
+    assert all(torch.isfinite(value).all() for value in found.vae.state_dict().values())
