@@ -10,9 +10,10 @@ torch = pytest.importorskip("torch")
 pytest.importorskip("lightning")
 
 from kinegraph.errors import InvalidInputError  # noqa: E402
+from kinegraph_training import train_vae  # noqa: E402
 from kinegraph_training.config import LEVELS, read_preset  # noqa: E402
 from kinegraph_training.latents import read_vae  # noqa: E402
-from kinegraph_training.train_vae import MOTION_TERMS, VaeModule  # noqa: E402
+from kinegraph_training.train_vae import ENCODER, MOTION_TERMS, VaeModule  # noqa: E402
 
 WEIGHTS = Path(__file__).parents[2] / "weights" / "edge"
 
@@ -60,6 +61,20 @@ def test_weights_of_another_shape_or_none_are_refused(tmp_path: Path) -> None:
         module(1).start_from(tmp_path / "motion.ckpt")
     with pytest.raises(InvalidInputError, match="no such file"):
         module(1).start_from(tmp_path / "nothing.ckpt")
+
+
+def test_a_decoder_alone_leaves_the_latent_where_it_was() -> None:
+    own = module(1)
+    own.keep_encoder()
+    features, mask = torch.randn(2, 24, 137), torch.ones(2, 24)
+    latent = own.vae.encode(features, mask)
+    assert not latent[0].requires_grad and not latent[1].requires_grad
+    own.vae.decode(latent[0], mask).sum().backward()
+    trained = {name.split(".")[0] for name, value in own.vae.named_parameters() if value.grad is not None}
+    left = {name.split(".")[0] for name, value in own.vae.named_parameters() if value.grad is None}
+    assert left == ENCODER and "decoder" in trained
+    with pytest.raises(InvalidInputError, match="needs --start-from"):
+        train_vae.main(["--level", "specific", "--decoder-only", "--data", "x", "--run", "x"])
 
 
 @pytest.mark.skipif(not WEIGHTS.is_dir(), reason="needs a checkout: weights are not in the package")

@@ -36,6 +36,10 @@ MOTION_TERMS = frozenset(("bones", "velocities", "accelerations", "feet", "windo
 run that starts with these terms never leaves that answer (82 mm after 1,000 steps)."""
 
 
+ENCODER = frozenset(("patch_in", "query", "encoder", "to_mean", "to_log_variance"))
+"""Parts of an autoencoder that lead to its latent."""
+
+
 def motion_ramp(step: int, steps: int) -> float:
     """Weight of MOTION_TERMS in a run from nothing: 0 for its first tenth, 1 from four tenths on."""
     return min(1.0, max(0.0, (step / steps - 0.1) / 0.3))
@@ -70,6 +74,11 @@ class VaeModule(L.LightningModule):
         except RuntimeError as error:
             raise InvalidInputError(f"--start-from {checkpoint}: not this preset's autoencoder: {error}") from error
         self.poses_known = True
+
+    def keep_encoder(self) -> None:
+        """Train the decoder alone: latents stay what they are, and with them denoisers trained on them."""
+        for name, parameter in self.vae.named_parameters():
+            parameter.requires_grad_(name.split(".")[0] not in ENCODER)
 
     def training_step(self, batch: tuple[Tensor, Tensor], index: int) -> Tensor:
         features, mask = batch
@@ -155,8 +164,11 @@ def main(argv: list[str] | None = None) -> None:
     parser.add_argument(
         "--start-from", type=Path, help="checkpoint of the same shape whose weights a new run starts with"
     )
+    parser.add_argument("--decoder-only", action="store_true", help="with --start-from: leave the encoder as it is")
     add_common_arguments(parser)
     arguments, lightning = parser.parse_known_args(argv)
+    if arguments.decoder_only and not arguments.start_from:
+        raise InvalidInputError("--decoder-only needs --start-from: an untrained encoder is not worth keeping")
     preset = read_preset(arguments.preset)
     if arguments.threads:
         torch.set_num_threads(arguments.threads)
@@ -167,6 +179,8 @@ def main(argv: list[str] | None = None) -> None:
     module = VaeModule(preset.vae[arguments.level], config, train.mean.tolist(), train.std.tolist())
     if arguments.start_from:
         module.start_from(arguments.start_from)
+    if arguments.decoder_only:
+        module.keep_encoder()
     run = arguments.run / f"vae_{arguments.level}"
     loop = trainer(run, config, validate_every=min(1000, config.steps), lightning=lightning_flags(lightning))
     loop.fit(module, *loaders(train, val, preset, arguments.level), ckpt_path=last_checkpoint(run))
