@@ -93,6 +93,7 @@ def main() -> int:
     parser.add_argument("--steps", type=int, default=3000)
     parser.add_argument("--repeats", type=int, default=3)
     parser.add_argument("--seeds", type=int, nargs="+", default=[1])
+    parser.add_argument("--out", type=Path, help="write everything as JSON")
     options = parser.parse_args()
     results: dict[str, list[dict[str, Any]]] = {}
     for seed in options.seeds:
@@ -102,6 +103,9 @@ def main() -> int:
             results.setdefault(variant, []).append(measured(run, options))
     text = table(results)
     (options.work / "comparison.md").write_text(text, encoding="utf-8")
+    if options.out:
+        budget = {"steps": options.steps, "seeds": options.seeds, "repeats": options.repeats}
+        options.out.write_text(json.dumps({**budget, "variants": results}, indent=1) + "\n", encoding="utf-8")
     print(text)
     return 0
 

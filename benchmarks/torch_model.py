@@ -15,6 +15,7 @@ from kinegraph.bundle import DEFAULT_BUNDLE
 from kinegraph.conditions import GraphArrays
 from kinegraph.contract import LEVELS
 from kinegraph.diffusion.sampler import LevelPlan, initial_noise
+from kinegraph.graph import SemanticGraph
 from kinegraph.motion.bones import with_bone_lengths
 from kinegraph.tables import bones_of
 from kinegraph_export.checkpoints import read_run
@@ -53,7 +54,13 @@ class TorchModel:
         self._bones = bones_of(read_tables(run))
 
     def generate(
-        self, caption: str, *, seconds: float, seed: int, steps: list[int] | None = None, guidance: float = GUIDANCE
+        self,
+        caption: str | SemanticGraph,
+        *,
+        seconds: float,
+        seed: int,
+        steps: list[int] | None = None,
+        guidance: float = GUIDANCE,
     ) -> TorchClip:
         """As `MotionPipeline.generate`, the noise drawn in the same way; steps in the order of the model's levels."""
         latents = self._trained.hierarchy.latents
@@ -67,7 +74,8 @@ class TorchModel:
         return TorchClip(with_bone_lengths(joints, self._bones))
 
     @torch.no_grad()
-    def _condition(self, caption: str) -> GraphArrays:
+    def _condition(self, caption: str | SemanticGraph) -> GraphArrays:
         if self._config.condition == "tokens":
-            return plain_tokens(self._encoder.hidden(caption))
+            words = caption if isinstance(caption, str) else caption.caption
+            return plain_tokens(self._encoder.hidden(words))
         return self._encoder(caption)

@@ -17,6 +17,7 @@ from tqdm import tqdm
 
 from kinegraph.conditions import GraphArrays, graph_arrays
 from kinegraph.errors import InvalidInputError
+from kinegraph.graph import SemanticGraph
 from kinegraph.text.parser import GraphParser
 from kinegraph.text.tokens import CaptionTokenizer, TokenIds
 
@@ -40,11 +41,12 @@ class CaptionEncoder:
         self.tokenizer = CaptionTokenizer((folder / "tokenizer.json").read_bytes())
         self.parser = GraphParser((folder / "parser.bin").read_bytes())
 
-    def __call__(self, caption: str) -> GraphArrays:
-        """Parse and encode one caption."""
-        tokens = self.tokenizer.encode(caption)
+    def __call__(self, caption: str | SemanticGraph) -> GraphArrays:
+        """Parse and encode one caption; a graph is encoded as it is."""
+        graph = caption if isinstance(caption, SemanticGraph) else self.parser.parse(caption)
+        tokens = self.tokenizer.encode(graph.caption)
         hidden, pooled = self.session.run(["hidden", "pooled"], _feeds(tokens))
-        return graph_arrays(self.parser.parse(caption), tokens, hidden[0], pooled[0])
+        return graph_arrays(graph, tokens, hidden[0], pooled[0])
 
     def hidden(self, caption: str) -> NDArray[np.float32]:
         """(T, D) hidden states of one caption."""

@@ -36,6 +36,7 @@ def optimiser(module: nn.Module, config: OptimiserConfig) -> dict[str, Any]:
         lr=config.learning_rate,
         betas=(0.9, config.beta2),
         weight_decay=config.weight_decay,
+        fused=True,  # one pass over all weights: an eighth of a denoiser step on a CPU
     )
 
     def rate(step: int) -> float:

@@ -1,0 +1,132 @@
+"""With every verb of a caption masked, do direction and hand still steer the motion? (GraphMotion, Table 6.)
+
+    python benchmarks/masked_verbs.py --data DATA/bandai --out masked_verbs.json
+
+The verb is masked in the caption, and the caption encoded again: hidden states of the other words leak it otherwise.
+The predicates ask only for what the words that are left say: the side of a turn, the hand that moves. `--run` measures
+a training run instead of a bundle, such as the ablation without a graph. Writes JSON, and a Markdown table beside it.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import predicates as p
+from evaluate import SPLITS, Plan, long_enough, model_of, ratio
+from takes import Model, folder_of, generated
+
+from kinegraph.bundle import DEFAULT_BUNDLE
+from kinegraph.graph import Argument, SemanticGraph
+from kinegraph.text.parser import GraphParser
+from kinegraph_training.data import MotionClip, read_split
+
+MASK = "[MASK]"
+"""Of the tokenizer; a bundle says the same in its manifest."""
+PREDICATES: dict[str, p.Predicate] = {
+    **{f"walk-turn-{side}": p.turns(side) for side in ("left", "right")},
+    **{f"{verb}-{side}-hand": p.swings(side) for verb in ("raise-up", "wave") for side in ("left", "right")},
+    **{f"{verb}-both-hands": p.swings("both") for verb in ("raise-up", "wave")},
+}
+
+
+def without_verbs(graph: SemanticGraph, mask: str = MASK) -> SemanticGraph:
+    """The graph of the same caption with `mask` in place of every action's text; all nodes and edges stay."""
+    verbs = sorted({(action.start, action.end) for action in graph.actions})
+    pieces, places, done = [], {}, 0
+    for start, end in verbs:
+        pieces.append(graph.caption[done:start])
+        places[start] = sum(map(len, pieces))
+        pieces.append(mask)
+        done = end
+    caption = "".join(pieces) + graph.caption[done:]
+
+    def moved(place: int) -> int:
+        return place + sum(len(mask) - (end - start) for start, end in verbs if end <= place)
+
+    def specific(part: Argument) -> Argument:
+        start, end = moved(part.start), moved(part.end)
+        return replace(part, start=start, end=end, text=caption[start:end])
+
+    actions = []
+    for action in graph.actions:
+        start = places[action.start]
+        arguments = tuple(specific(part) for part in action.arguments)
+        actions.append(replace(action, start=start, end=start + len(mask), text=mask, arguments=arguments))
+    return SemanticGraph(caption, tuple(actions))
+
+
+class Masked:
+    """A model that is never told a verb."""
+
+    def __init__(self, model: Model, parser: GraphParser) -> None:
+        self._model, self._parser = model, parser
+        self.name, self.stamp = f"{model.name}, verbs masked", f"{model.stamp} masked"
+        self.fps, self.seconds_limits = model.fps, model.seconds_limits
+
+    def generate(self, caption: str, *, seconds: float, seed: int, **options: Any) -> Any:
+        """As the model's own."""
+        return self._model.generate(without_verbs(self._parser.parse(caption)), seconds=seconds, seed=seed, **options)
+
+
+def rates(clips: Sequence[MotionClip], motions: Sequence[np.ndarray]) -> dict[str, float]:
+    """Share of clips whose predicate holds, per kind of predicate."""
+    held: dict[str, list[bool]] = {"direction": [], "body part": []}
+    for clip, joints in zip(clips, motions, strict=True):
+        held["direction" if "turn" in clip.content else "body part"].append(PREDICATES[clip.content](joints))
+    return {name: float(np.mean(values)) for name, values in held.items() if values}
+
+
+def measured(plan: Plan, parser: GraphParser) -> dict[str, Any]:
+    """Per split: captured motion, the whole caption, the caption without verbs."""
+    model = model_of(plan)
+    result: dict[str, Any] = {"model": model.name, "splits": {}}
+    for split in SPLITS:
+        clips = [clip for clip in long_enough(read_split(plan.data, split)) if clip.content in PREDICATES]
+        found = {"captured": rates(clips, [clip.joints for clip in clips])}
+        for name, own in (("whole caption", model), ("verbs masked", Masked(model, parser))):
+            folder = folder_of(own, plan.work, f"masked_{split}", clips, plan.options)
+            takes = [generated(own, clips, take, folder, **plan.options)[0] for take in range(plan.repeats)]
+            rows = [rates(clips, motions) for motions in takes]
+            found[name] = {kind: float(np.mean([row[kind] for row in rows])) for kind in rows[0]}
+        result["splits"][split] = {"clips": len(clips), **found}
+    return result
+
+
+def table(result: dict[str, Any]) -> str:
+    """Markdown; the ratio is that of masked to whole captions."""
+    lines = [f"{result['model']}: share of clips whose direction or body part is the caption's", ""]
+    lines += ["| split | | captured | whole caption | verbs masked | ratio |", "|---|---|---|---|---|---|"]
+    for split, found in result["splits"].items():
+        for kind in found["captured"]:
+            real, whole, masked = (found[name][kind] for name in ("captured", "whole caption", "verbs masked"))
+            cells = f"{real:.3f} | {whole:.3f} | {masked:.3f} | {ratio(masked, whole)}"
+            lines.append(f"| {split} | {kind} | {cells} |")
+    return "\n".join(lines) + "\n"
+
+
+def main() -> None:
+    """Command line."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--data", type=Path, required=True, help="folder of the captured motion (bandai)")
+    parser.add_argument("--bundle", type=Path, help="folder of a bundle; the default bundle without it")
+    parser.add_argument("--run", type=Path, help="a training run instead of a bundle, sampled in torch")
+    parser.add_argument("--work", type=Path, default=Path("evaluation"), help="folder for generated clips")
+    parser.add_argument("--repeats", type=int, default=1)
+    parser.add_argument("--out", type=Path, required=True, help="JSON file; a .md file is written beside it")
+    given = parser.parse_args()
+    plan = Plan(given.bundle, given.run, given.data, given.work, None, given.repeats, {})
+    result = measured(plan, GraphParser((DEFAULT_BUNDLE / "parser.bin").read_bytes()))
+    given.out.write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
+    text = table(result)
+    given.out.with_suffix(".md").write_text(text, encoding="utf-8")
+    print(text)
+
+
+if __name__ == "__main__":
+    main()
