@@ -85,6 +85,8 @@ class Defaults:
     """Diffusion steps per level."""
     guidance: Mapping[str, float]
     """Guidance scale per level."""
+    guidance_base: Literal["empty", "coarse"]
+    """What guidance leads away from: GraphMotion's "empty" set (Eq. A), or no text beside the "coarse"r latent."""
     seconds: float
 
 

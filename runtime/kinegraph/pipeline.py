@@ -36,7 +36,7 @@ from kinegraph.duration import expected_frames
 from kinegraph.graph import SemanticGraph
 from kinegraph.manifest import Manifest
 from kinegraph.motion.clip import Clip
-from kinegraph.network import RowNetwork, row_network, time_embedding
+from kinegraph.network import RowNetwork, modulations, row_network
 from kinegraph.options import GenerateOptions, Guidance, Steps, generate_options
 from kinegraph.sessions import Sessions, open_sessions
 from kinegraph.tables import DURATION, bones_of
@@ -175,7 +175,8 @@ class MotionPipeline:
 
         def predictor_for(number: int, times: DdimCoefficients, coarse: FloatArray | None) -> Predict:
             name = LEVELS[number]
-            plan = composition(weights, shares, options.guidance[name], coarse=coarse is not None)
+            apart = coarse is not None and self.manifest.defaults.guidance_base == "empty"
+            plan = composition(weights, shares, options.guidance[name], coarse=apart)
             return self._composer(name, encoded, coarse, options.frames, times, plan)
 
         latent = self._sampled([options], predictor_for, on_step)
@@ -241,7 +242,7 @@ class MotionPipeline:
     ) -> Predict:
         """Guided noise prediction of one level: rows are the unconditional predictions of all samples, then theirs."""
         seen = for_level(encoded, self.manifest.levels[name].nodes)
-        known = stacked(without_anything(seen), seen)
+        known = stacked(self._base(seen), seen)
         twice = None if coarse is None else np.concatenate([coarse, coarse])
         network = self._network(name, known, twice, Wiring.straight(2 * len(frames)), np.tile(frames, 2), times)
 
@@ -263,11 +264,15 @@ class MotionPipeline:
         """Composed noise prediction of one level, one run per step whatever the method."""
         seen = for_level(encoded, self.manifest.levels[name].nodes)
         first = Conditions(*(part[:1] for part in vars(seen).values()))
-        known = stacked(stacked(without_anything(first), without_text(first)), seen)
+        known = stacked(stacked(self._base(first), without_text(first)), seen)
         count, rows = len(known.kind), len(plan.mix)
         shared = None if coarse is None else np.repeat(coarse, count, axis=0)
         network = self._network(name, known, shared, plan.wiring, np.full(rows, frames), times)
         return lambda latent, step: mixed(network(np.repeat(latent, rows, axis=0), step), plan.mix)
+
+    def _base(self, seen: Conditions) -> Conditions:
+        """What guidance leads away from."""
+        return without_anything(seen) if self.manifest.defaults.guidance_base == "empty" else without_text(seen)
 
     def _network(
         self,
@@ -278,5 +283,6 @@ class MotionPipeline:
         frames: NDArray[np.int64],
         times: DdimCoefficients,
     ) -> RowNetwork:
-        temb = time_embedding(self._tables, name, times.timesteps, frames)
-        return row_network(self._sessions.context[name], self._sessions.step[name], known, coarse, wiring, temb)
+        sessions = self._sessions
+        modulation = modulations(sessions.clock[name], times.timesteps, frames)
+        return row_network(sessions.context[name], sessions.step[name], known, coarse, wiring, modulation)

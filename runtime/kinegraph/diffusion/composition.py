@@ -1,7 +1,7 @@
 """Composing predictions of one step (EnergyMoGen, Eq. 7-10) around the step graph's `src` and `combine`.
 
-n concepts with weights w_i, guidance scale s, predictions eps_0 (neither text nor coarser latent) and eps_c (no text,
-but the coarser latent, which all concepts share; eps_0 at the coarsest level):
+n concepts with weights w_i, guidance scale s, predictions eps_0 (what guidance leads away from) and eps_c (no text, but
+the coarser latent, which all concepts share; eps_0 itself at the coarsest level, and where a bundle leads away from it):
 
     latent-aware    eps^l = eps_0 + s (eps_c - eps_0 + sum_i w_i (eps_i - eps_c))  Eq. 7 (w_i > 0), Eq. 8 (w_i < 0)
     semantic-aware  eps^s = eps_0 + s (eps(z') - eps_0)
@@ -66,7 +66,7 @@ def composition(
         weights: w_1 .. w_n.
         lambdas: of the latent-aware, the semantic-aware and the joint-text term.
         scale: guidance s of the level.
-        coarse: whether there is a coarser latent.
+        coarse: whether eps_c differs from eps_0.
     """
     latent, semantic, joint = lambdas
     w = np.asarray(weights, dtype=np.float64)
