@@ -79,6 +79,13 @@ def trained(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+@pytest.mark.parametrize("precision", ["32-true", "bf16-mixed"])
+def test_a_step_is_taken_whatever_the_hardware_prefers(precision: str, tmp_path: Path) -> None:
+    write_walks(tmp_path / "data")
+    stage(train_vae, tmp_path, "--level", "motion", "--precision", precision, "--max_steps", "1")
+    assert steps_of(tmp_path / "run" / "vae_motion" / "last.ckpt") == 1
+
+
 def test_a_stopped_run_goes_on_to_its_last_step(trained: Path) -> None:
     for name in ("vae_motion", "vae_action", "vae_specific", "denoisers"):
         assert steps_of(trained / "run" / name / "last.ckpt") == 6

@@ -110,7 +110,7 @@ class DenoiserModule(L.LightningModule):
         return batch.to(device)
 
     def configure_optimizers(self) -> Any:
-        return optimiser(self.hierarchy, self.training_config)
+        return optimiser(self.hierarchy, self.training_config, str(self.trainer.precision))
 
 
 def clip_weights(clips: list[MotionClip], config: DataConfig) -> list[float]:

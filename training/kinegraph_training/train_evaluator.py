@@ -80,7 +80,7 @@ class EvaluatorModule(L.LightningModule):
             self.log(f"val/top_{place}", float(value), prog_bar=place == 1)
 
     def configure_optimizers(self) -> Any:
-        return optimiser(self.encoders, self.training_config)
+        return optimiser(self.encoders, self.training_config, str(self.trainer.precision))
 
 
 def collate(dataset: Dataset, states: CaptionStates, seed: int | None) -> Any:

@@ -110,7 +110,7 @@ class VaeModule(L.LightningModule):
             self.log("local_mm", scores["local_mm"], prog_bar=True, logger=False, on_epoch=True, batch_size=1)
 
     def configure_optimizers(self) -> Any:
-        return optimiser(self.vae, self.training_config)
+        return optimiser(self.vae, self.training_config, str(self.trainer.precision))
 
 
 def reconstruction_scores(predicted: np.ndarray, target: np.ndarray) -> dict[str, float]:
