@@ -72,6 +72,7 @@ class Card:
     version: str
     licence: dict[str, str]
     training_data: str
+    scope: dict[str, str]
     training: dict[str, str | float | int]
     steps: dict[str, int]
     guidance: dict[str, float]
@@ -115,6 +116,7 @@ def manifest_of(
             "built_with": f"kinegraph {kinegraph.__version__}, torch {torch.__version__}, "
             f"onnxruntime {onnxruntime.__version__}, Python {platform.python_version()}",
         },
+        scope=card.scope,
         skeleton=SkeletonSpec(JOINT_NAMES, PARENTS),
         fps=20.0,
         frames=FrameSpec(min=16, max=config.max_frames, per_token=trained.vae.config.frames_per_token),

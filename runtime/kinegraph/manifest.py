@@ -106,6 +106,8 @@ class Manifest:
     licence: Licence
     provenance: Mapping[str, str]
     """Training data, sources and hashes of text encoder and parser, versions of the build tools."""
+    scope: Mapping[str, str]
+    """What the model can do and what it cannot, in words: actions, manners, and so on."""
     skeleton: SkeletonSpec
     fps: float
     frames: FrameSpec

@@ -115,6 +115,7 @@ def manifest_for(files: Mapping[str, bytes]) -> Manifest:
         version="0.0.1",
         licence=Licence("Apache-2.0", "CC0-1.0", "none", "Apache-2.0", "MIT"),
         provenance={"training_data": "none", "built_with": "tests"},
+        scope={"actions": "none", "cannot": "move"},
         skeleton=SkeletonSpec(JOINT_NAMES, PARENTS),
         fps=20.0,
         frames=FrameSpec(8, MAX_FRAMES, 4),

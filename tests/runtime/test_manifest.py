@@ -49,7 +49,7 @@ def leaf(path: tuple[Any, ...]) -> Any:
 
 
 ALL_PATHS = list(paths(GOOD))
-FREE_MAPS = {("provenance",), ("parity",), ("training",), ("quality",)}
+FREE_MAPS = {("provenance",), ("scope",), ("parity",), ("training",), ("quality",)}
 REQUIRED = [
     path
     for path in ALL_PATHS

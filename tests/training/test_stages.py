@@ -35,6 +35,7 @@ CARD = Card(
     version="0",
     licence=dict.fromkeys(("code", "weights", "data", "text_encoder", "parser"), "public domain"),
     training_data="made by the tests",
+    scope={"actions": "walk"},
     training={"preset": "tiny"},
     steps={"motion": 2, "action": 2, "specific": 3},
     guidance={"motion": 2.0, "action": 2.0, "specific": 2.0},

@@ -1,7 +1,8 @@
 """Composing predictions of one step (EnergyMoGen, Eq. 7-10) around the step graph's `src` and `combine`.
 
 n concepts with weights w_i, guidance scale s, predictions eps_0 (what guidance leads away from) and eps_c (no text, but
-the coarser latent, which all concepts share; eps_0 itself at the coarsest level, and where a bundle leads away from it):
+the coarser latent, which all concepts share; eps_0 itself at the coarsest level, and where a bundle leads away from
+it):
 
     latent-aware    eps^l = eps_0 + s (eps_c - eps_0 + sum_i w_i (eps_i - eps_c))  Eq. 7 (w_i > 0), Eq. 8 (w_i < 0)
     semantic-aware  eps^s = eps_0 + s (eps(z') - eps_0)

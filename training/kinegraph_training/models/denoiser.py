@@ -228,7 +228,7 @@ class StepNetwork(SkipStack):
     def forward(  # type: ignore[override]
         self, latent: Tensor, modulation: Tensor, context: KeyValue, bias: Tensor, mixing: Mixing | None = None
     ) -> Tensor:
-        """latent (r, c, z), modulation (r, m, d), context of (a, h, s, d/h), bias (a, 1, 1 or c, s) -> noise (r, c, z)."""
+        """latent (r, c, z), modulation (r, m, d), context of (a, h, s, d/h), bias (a, 1, 1 or c, s) -> (r, c, z)."""
         x = self.latent_in(latent) + self.position
         pieces = modulation.split(1, dim=1)
         kept: list[Tensor] = []
