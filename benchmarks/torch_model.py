@@ -70,7 +70,9 @@ class TorchModel:
         else:
             counts = {level: STEPS[level] for level in latents} if len(latents) > 1 else {LEVELS[-1]: ONE_STAGE_STEPS}
         plans = [LevelPlan(level, shape.tokens, shape.width, counts[level]) for level, shape in latents.items()]
-        request = Request(round(seconds * FPS), initial_noise(seed, plans), counts, dict.fromkeys(latents, guidance), GUIDANCE_BASE)
+        request = Request(
+            round(seconds * FPS), initial_noise(seed, plans), counts, dict.fromkeys(latents, guidance), GUIDANCE_BASE
+        )
         joints = torch_joints(self._trained, self._condition(caption), request, self._own.mean, self._own.std)
         return TorchClip(with_bone_lengths(joints, self._bones))
 

@@ -37,9 +37,9 @@ from kinegraph.manifest import (
     describe_file,
     to_json,
 )
+from kinegraph.manifest_checks import FORMAT_VERSION
 from kinegraph.motion.bones import with_bone_lengths
 from kinegraph.motion.skeleton import JOINT_NAMES, PARENTS, FloatArray
-from kinegraph.manifest_checks import FORMAT_VERSION
 from kinegraph.onnx_ops import summarise
 from kinegraph.pipeline import MotionPipeline
 from kinegraph.tables import bones_of
