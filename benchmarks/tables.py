@@ -48,6 +48,8 @@ def measurements(given: argparse.Namespace) -> list[Measurement]:
         more = ("--autoencoders", str(given.run), "--work", str(given.work / "comparisons"))
         title = f"Comparisons and ablations, {given.compare_steps} steps each, seeds {', '.join(seeds)}"
         found.append(Measurement("compare", title, (*VARIANTS, *data, *held, *more, *budget)))
+        tokens = (*data, *held, *more, "--steps", str(given.compare_steps // 2))
+        found.append(Measurement("latent_tokens", "Latent tokens (EnergyMoGen, Table 8)", tokens))
     return [Measurement(m.name, m.title, (*m.arguments, "--out", str(out / f"{m.name}.json"))) for m in found]
 
 
