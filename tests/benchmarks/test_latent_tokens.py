@@ -10,9 +10,9 @@ import pytest
 pytest.importorskip("torch")
 pytest.importorskip("onnx")
 
-import latent_tokens  # noqa: E402
+import latent_tokens
 
-from kinegraph_training.config import read_preset  # noqa: E402
+from kinegraph_training.config import read_preset
 
 
 @pytest.mark.parametrize("tokens", [2, 16])
