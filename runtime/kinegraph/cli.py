@@ -12,10 +12,11 @@ import sys
 import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
 from kinegraph import __version__
-from kinegraph.cli_input import captions, concepts, input_graph, level_numbers, level_steps
+from kinegraph.cli_arguments import add_bundle, add_compose, add_generate, add_parse
+from kinegraph.cli_input import captions, check_only_jsonl, concepts, edited, input_graph
 from kinegraph.cli_output import Progress, as_json, info_record, info_text, one_line, verify_text
 from kinegraph.errors import Cancelled, KinegraphError
 
@@ -58,102 +59,29 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("--version", action="version", version=f"kinegraph {__version__}")
     verbs = parser.add_subparsers(title="commands", required=True, metavar="COMMAND")
-    _add_generate(verbs.add_parser("generate", help="make a clip from a sentence or a graph"))
-    _add_compose(verbs.add_parser("compose", help="make a clip of several motions at once, or without some"))
-    _add_parse(verbs.add_parser("parse", help="print the semantic graph of a sentence as JSON"))
-    _add_info(verbs.add_parser("info", help="what a bundle is: licences, provenance, sizes, quality"))
-    _add_verify(verbs.add_parser("verify", help="check every file, operator and session of a bundle"))
+    for name, text, arguments, run in (
+        ("generate", "make a clip from a sentence or a graph", add_generate, _generate),
+        ("compose", "make a clip of several motions at once, or without some", add_compose, _compose),
+        ("parse", "print or draw the semantic graph of a sentence", add_parse, _parse),
+        ("info", "what a bundle is: what it can do, licences, provenance, sizes, quality", add_bundle, _info),
+        ("verify", "check every file, operator and session of a bundle", add_bundle, _verify),
+    ):
+        verb = verbs.add_parser(name, help=text)
+        arguments(verb)
+        verb.set_defaults(run=run)
     return parser
-
-
-def _add_bundle(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--bundle", type=Path, metavar="DIR", help="a bundle's folder; default: the built-in one")
-    parser.add_argument("--json", action="store_true", help="print one JSON object on one line")
-
-
-def _add_generate(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("text", nargs="?", help="the sentence, e.g. 'a person walks forward and waves'")
-    parser.add_argument("--graph", metavar="FILE", help="a graph in JSON instead of the text; - is stdin")
-    _add_sampling(parser)
-    parser.set_defaults(run=_generate)
-
-
-def _add_compose(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        "--and",
-        dest="wanted",
-        action="append",
-        default=[],
-        metavar="TEXT[:WEIGHT]",
-        help="a motion that should happen; several times for several",
-    )
-    parser.add_argument(
-        "--not",
-        dest="unwanted",
-        action="append",
-        default=[],
-        metavar="TEXT[:WEIGHT]",
-        help="a motion that should not; weight 0.5 unless told",
-    )
-    parser.add_argument("--method", default="fused", help="latent, semantic or fused (default)")
-    parser.add_argument("--text", help="the joint sentence of fused; default: the wanted ones joined with 'while'")
-    parser.add_argument(
-        "--lambdas", type=level_numbers, metavar="L,S,M", help="shares of latent, semantic and joint text in fused"
-    )
-    _add_sampling(parser)
-    parser.set_defaults(run=_compose)
-
-
-def _add_sampling(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        "-o",
-        "--output",
-        type=Path,
-        required=True,
-        metavar="FILE",
-        help="the suffix says the format: .npz, .bvh, .png",
-    )
-    parser.add_argument("--seconds", type=float, metavar="S", help="length; without it the sentence decides")
-    parser.add_argument("--seed", type=int, help="the same seed gives the same clip; default: a new one")
-    parser.add_argument(
-        "--steps", type=level_steps, metavar="N[,N,N]", help="diffusion steps: one number, or one per level"
-    )
-    parser.add_argument(
-        "--guidance", type=level_numbers, metavar="X[,X,X]", help="guidance scale: one, or one per level"
-    )
-    parser.add_argument("--threads", type=int, metavar="N", help="threads a model may use")
-    parser.add_argument("--force", action="store_true", help="overwrite the file if it is there")
-    parser.add_argument("--progress", action="store_true", help="show progress even if stderr is no terminal")
-    parser.add_argument("--quiet", action="store_true", help="print nothing but errors")
-    _add_bundle(parser)
-
-
-def _add_parse(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("text", nargs="?", help="the sentence")
-    parser.add_argument(
-        "--jsonl",
-        type=Path,
-        metavar="FILE",
-        help='many: a caption or {"caption": "..."} on each line; prints one object on each line',
-    )
-    _add_bundle(parser)
-    parser.set_defaults(run=_parse)
-
-
-def _add_info(parser: argparse.ArgumentParser) -> None:
-    _add_bundle(parser)
-    parser.set_defaults(run=_info)
-
-
-def _add_verify(parser: argparse.ArgumentParser) -> None:
-    _add_bundle(parser)
-    parser.set_defaults(run=_verify)
 
 
 def _generate(options: argparse.Namespace) -> int:
     _check_target(options)
     wish = input_graph(options.text, options.graph)
-    return _make(options, lambda pipeline, **wishes: pipeline.generate(wish, **wishes))
+    edits = options.edits
+
+    def make(pipeline: MotionPipeline, **wishes: Any) -> Clip:
+        graph = edited(pipeline.parse(wish) if isinstance(wish, str) else wish, edits) if edits else wish
+        return pipeline.generate(graph, **wishes)
+
+    return _make(options, make)
 
 
 def _compose(options: argparse.Namespace) -> int:
@@ -208,17 +136,35 @@ def _make(options: argparse.Namespace, make: Callable[..., Clip]) -> int:
 
 
 def _parse(options: argparse.Namespace) -> int:
-    lines = captions(options.text, options.jsonl)
+    if options.jsonl is None:
+        return _parse_one(options)
+    check_only_jsonl(options)
+    lines = captions(options.jsonl)
     pipeline = _load(options.bundle, None)
     for place, caption in lines:
         try:
             graph = pipeline.parse(caption)
         except KinegraphError as error:
-            if place:
-                # The type stays: only the message grows by the place.
-                raise type(error)(f"{place}: {error}") from error
-            raise
-        print(as_json(graph.to_dict(), pretty=not (options.json or options.jsonl)))
+            # The type stays: only the message grows by the place.
+            raise type(error)(f"{place}: {error}") from error
+        print(as_json(graph.to_dict()))
+    return 0
+
+
+def _parse_one(options: argparse.Namespace) -> int:
+    from kinegraph.formats.atomic import check_target, write_atomically
+
+    if options.svg is not None:
+        check_target(options.svg, options.force, (".svg",))
+    wish = input_graph(options.text, options.graph)
+    graph = edited(_load(options.bundle, None).parse(wish) if isinstance(wish, str) else wish, options.edits)
+    if options.svg is None:
+        print(as_json(graph.to_dict(), pretty=not options.json))
+    else:
+        from kinegraph.formats.graph_svg import graph_svg
+
+        write_atomically(options.svg, graph_svg(graph).encode())
+        print(as_json({"file": str(options.svg)}) if options.json else options.svg)
     return 0
 
 
