@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import textwrap
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 from xml.sax.saxutils import escape
@@ -11,13 +10,12 @@ from xml.sax.saxutils import escape
 from kinegraph.graph import Action, Argument, SemanticGraph
 from kinegraph.text.roles import MOTION_ACTION
 
-COLUMNS: Final = (20.0, 310.0, 600.0)
+COLUMNS: Final = (20.0, 290.0, 560.0)
 """Left edges of the three columns, pixels."""
 WIDTH: Final = 190.0
 FIRST: Final = 50.0
-GAP: Final = 24.0
-ROW: Final = 57.0
-"""Top of the first row, space between boxes, and the least height of an action's rows."""
+"""Top of the first row."""
+GAP: Final = 14.0
 LINE: Final = 17.0
 LETTERS: Final = 25
 """Characters on a line of a box; a longer text is broken."""
@@ -26,19 +24,18 @@ FILLS: Final = ("#e0e7ff", "#dcfce7", "#fef3c7")
 
 @dataclass(frozen=True)
 class Box:
-    """A node's place: `y` is its middle."""
+    """A node's place and words; `y` is its middle, `label` the type and weight of the edge that leads to it."""
 
     column: int
     y: float
     lines: tuple[str, ...]
+    label: str = ""
+    weight: float = 1.0
+    present: bool = True
 
     @property
     def height(self) -> float:
-        return 16 + LINE * len(self.lines)
-
-    def below(self, top: float) -> Box:
-        """The same box with its upper edge there."""
-        return replace(self, y=top + self.height / 2)
+        return 16 + LINE * (len(self.lines) + bool(self.label))
 
 
 def graph_svg(graph: SemanticGraph) -> str:
@@ -46,68 +43,72 @@ def graph_svg(graph: SemanticGraph) -> str:
 
     A line's width grows with the weight of its edge; an edge of weight 0 is dashed and its node pale.
     """
-    y, placed = FIRST, []
+    y, boxes, edges = FIRST, [], []
     for action in graph.actions:
-        top, parts = y, []
+        top, own = y, _box(1, action, action.weight > 0)
+        parts = []
         for part in action.arguments:
-            box = Box(2, 0.0, _lines(part.text)).below(y)
-            parts.append((box, part))
+            box = _box(2, part, action.weight * part.weight > 0)
+            parts.append(replace(box, y=y + box.height / 2))
             y += box.height + GAP
-        y = max(y, top + ROW)
-        placed.append((Box(1, (top + y - GAP) / 2, _lines(action.text)), action, parts))
+        y = max(y, top + own.height + GAP)
+        own = replace(own, y=(top + y - GAP) / 2)
+        boxes += [own, *parts]
+        edges += [(own, part) for part in parts]
     root = Box(0, (FIRST + y - GAP) / 2, _lines(graph.caption))
-    drawn = []
-    for own, action, parts in placed:
-        drawn.append(_edge(root, own, action))
-        drawn += [_edge(own, box, part) for box, part in parts]
-    drawn.append(_box(root, True))
-    for own, action, parts in placed:
-        drawn.append(_box(own, action.weight > 0))
-        drawn += [_box(box, action.weight > 0 and part.weight > 0) for box, part in parts]
-    height = max(y, root.y + root.height / 2) + 20
-    top = min(0.0, root.y - root.height / 2 - FIRST)
-    total = COLUMNS[2] + WIDTH + 20
-    heads = "".join(
-        f'<text x="{x + WIDTH / 2:g}" y="{top + 26:g}" text-anchor="middle" fill="#6b7280">{name}</text>'
-        for x, name in zip(COLUMNS, ("motion", "actions", "specifics"), strict=True)
-    )
-    return (
-        f'<svg xmlns="http://www.w3.org/2000/svg" width="{total:g}" height="{height - top:g}" '
-        f'viewBox="0 {top:g} {total:g} {height - top:g}" font-family="system-ui, sans-serif" font-size="13">'
-        f'<title>{escape(graph.caption)}</title><rect y="{top:g}" width="100%" height="100%" fill="#ffffff"/>'
-        f"{heads}{''.join(drawn)}</svg>\n"
-    )
+    edges += [(root, box) for box in boxes if box.column == 1]
+    drawn = [_curve(*edge) for edge in edges] + [_drawn(box) for box in (root, *boxes)]
+    return _document(graph.caption, drawn, min(0.0, root.y - root.height / 2 - FIRST), max(y, root.y + root.height / 2))
 
 
 def _lines(text: str) -> tuple[str, ...]:
     return tuple(textwrap.wrap(text, LETTERS)) or (text,)
 
 
-def _box(box: Box, present: bool) -> str:
+def _box(column: int, node: Action | Argument, present: bool) -> Box:
+    """A node, not yet in its place."""
+    role = node.role if isinstance(node, Argument) else MOTION_ACTION
+    label = role if node.weight == 1 else f"{role} ×{node.weight:g}"
+    return Box(column, 0.0, _lines(node.text), label, node.weight, present)
+
+
+def _document(title: str, drawn: list[str], top: float, bottom: float) -> str:
+    width, height = COLUMNS[-1] + WIDTH + 20, bottom + 20 - top
+    heads = "".join(
+        f'<text x="{x + WIDTH / 2:g}" y="{top + 26:g}" text-anchor="middle" fill="#6b7280">{name}</text>'
+        for x, name in zip(COLUMNS, ("motion", "actions", "specifics"), strict=True)
+    )
+    return (
+        f'<svg xmlns="http://www.w3.org/2000/svg" width="{width:g}" height="{height:g}" '
+        f'viewBox="0 {top:g} {width:g} {height:g}" font-family="system-ui, sans-serif" font-size="13">'
+        f'<title>{escape(title)}</title><rect y="{top:g}" width="100%" height="100%" fill="#ffffff"/>'
+        f"{heads}{''.join(drawn)}</svg>\n"
+    )
+
+
+def _drawn(box: Box) -> str:
     x, top = COLUMNS[box.column], box.y - box.height / 2
-    opacity = "" if present else ' opacity="0.35"'
-    words = _words(box.lines, x + WIDTH / 2, top + 8 + LINE - 4)
+    opacity = "" if box.present else ' opacity="0.35"'
+    rows = [(line, "#111827", 13) for line in box.lines]
+    if box.label:
+        rows.insert(0, (box.label, "#6b7280", 10))
+    words = "".join(
+        f'<text x="{x + WIDTH / 2:g}" y="{top + 21 + LINE * row:g}" text-anchor="middle" fill="{colour}" '
+        f'font-size="{size}">{escape(line)}</text>'
+        for row, (line, colour, size) in enumerate(rows)
+    )
     return (
         f'<g{opacity}><rect x="{x:g}" y="{top:g}" width="{WIDTH:g}" height="{box.height:g}" rx="8" '
         f'fill="{FILLS[box.column]}" stroke="#9ca3af"/>{words}</g>'
     )
 
 
-def _words(lines: Sequence[str], x: float, y: float) -> str:
-    rows = (f'<tspan x="{x:g}" dy="{LINE if n else 0:g}">{escape(line)}</tspan>' for n, line in enumerate(lines))
-    return f'<text x="{x:g}" y="{y:g}" text-anchor="middle" fill="#111827">{"".join(rows)}</text>'
-
-
-def _edge(parent: Box, child: Box, node: Action | Argument) -> str:
-    """A curve from the right of one box to the left of the other, named at the child's end."""
+def _curve(parent: Box, child: Box) -> str:
+    """From the right of one box to the left of the other."""
     x0, x1 = COLUMNS[parent.column] + WIDTH, COLUMNS[child.column]
     middle = (x0 + x1) / 2
-    role = node.role if isinstance(node, Argument) else MOTION_ACTION
-    weight = "" if node.weight == 1 else f" ×{node.weight:g}"
-    width, dash = min(6.0, 0.6 + 1.2 * node.weight), "" if node.weight else ' stroke-dasharray="4 4"'
+    width, dash = min(6.0, 0.6 + 1.2 * child.weight), "" if child.weight else ' stroke-dasharray="4 4"'
     return (
         f'<path d="M{x0:g} {parent.y:g} C{middle:g} {parent.y:g} {middle:g} {child.y:g} {x1:g} {child.y:g}" '
         f'fill="none" stroke="#6b7280" stroke-width="{width:g}"{dash}/>'
-        f'<text x="{x1 - 6:g}" y="{child.y - 7:g}" text-anchor="end" font-size="11" fill="#374151" '
-        f'paint-order="stroke" stroke="#ffffff" stroke-width="4">{role}{weight}</text>'
     )
