@@ -4,7 +4,7 @@
 
     graph = pipe.parse("a person walks slowly to the left")
     graph = with_weight(graph, "to the left", 2.0)  # stronger; 0 is exactly a graph without the node
-    graph = without(graph, "slowly")
+    graph = without(graph, "slowly")  # the words go, too
     graph = replaced(graph, "walks", "runs")  # in the caption too, whose hidden states are the node features
     clip = pipe.generate(graph)
 
@@ -20,9 +20,14 @@ from typing import Final
 
 from kinegraph.errors import InvalidGraphError
 from kinegraph.graph import Action, Argument, SemanticGraph
+from kinegraph.text.removal import without_words
 
 MASK: Final = "[MASK]"
 """The word piece of the text encoder that stands for an unknown word (`manifest.text.mask_token`)."""
+
+STRENGTHENING: Final = 0.4
+"""What a weight counts beyond 1: at twice a node's own prediction and more, motions leave what a model knows, and a
+turn or a speed falls again (`benchmarks/edit_curves.py`)."""
 
 Node = int | str
 Change = Callable[[Action | Argument], Action | Argument | None]
@@ -58,11 +63,47 @@ def with_weight(graph: SemanticGraph, node: Node, weight: float) -> SemanticGrap
 
 
 def without(graph: SemanticGraph, node: Node) -> SemanticGraph:
-    """Without a node, and without an action's arguments; the caption and the order of other actions stay."""
+    """Without a node, an action's arguments with it, and without their words where no other node has them.
+
+    The words must go too: the motion node is the whole caption. The order of other actions stays.
+    """
     number = number_of(graph, node)
     if number == 1 == len(graph.actions):
         raise InvalidGraphError(f"{graph.actions[0].text!r} is the only action; a graph needs one")
-    return _changed(graph, number, lambda _: None)
+    left = _changed(graph, number, lambda _: None)
+    one = graph.nodes[number - 1]
+    gone = [one, *(one.arguments if isinstance(one, Action) else ())]
+    joined = one.start if isinstance(one, Action) else None
+    caption, place = without_words(graph.caption, [_span(each) for each in gone], [*map(_span, left.nodes)], joined)
+    return _moved(left, caption, lambda node: (place[node.start], place[node.end - 1] + 1))
+
+
+def edge_terms(graph: SemanticGraph) -> list[tuple[SemanticGraph, float]]:
+    """Graphs whose edges all weigh 1, with the coefficients by which their predictions make up that of `graph`.
+
+    Each weight w_e scales what the model predicts because of that node, at every step of every level:
+
+        eps(G, w) = eps(G') + sum_e (c(w_e) - 1) (eps(G') - eps(G' without e))
+
+    G' is G without the nodes of weight 0; c(w) = w up to 1, and 1 + (w - 1) STRENGTHENING beyond. This is EnergyMoGen's
+    latent-aware composition (Eq. 7, 8) of a graph and the same graph without a node. Coefficients sum to 1, but for a
+    weight on the only action: nothing is left without it, so it counts against no text at all.
+
+    Raises:
+        InvalidGraphError: every action has weight 0.
+    """
+    while (absent := next((n for n, node in enumerate(graph.nodes, start=1) if node.weight == 0), None)) is not None:
+        graph = without(graph, absent)
+    plain = graph
+    turned = {number: node.weight - 1.0 for number, node in enumerate(graph.nodes, start=1) if node.weight != 1}
+    turned = {number: more * (STRENGTHENING if more > 0 else 1.0) for number, more in turned.items()}
+    for number in turned:
+        plain = with_weight(plain, number, 1.0)
+    terms = [(plain, 1.0 + sum(turned.values()))]
+    for number, more in turned.items():
+        if not number == 1 == len(plain.actions):
+            terms.append((without(plain, number), -more))
+    return terms
 
 
 def replaced(graph: SemanticGraph, node: Node, text: str) -> SemanticGraph:
@@ -145,15 +186,25 @@ def _rewritten(graph: SemanticGraph, start: int, end: int, text: str) -> Semanti
             return node.start, node.end + grown
         raise InvalidGraphError(f"{node.text!r} lies in the words to be replaced; drop it first: {listing(graph)}")
 
+    return _moved(graph, caption, moved)
+
+
+def _moved(graph: SemanticGraph, caption: str, moved: Callable[[Action | Argument], tuple[int, int]]) -> SemanticGraph:
+    """The same nodes on another caption, `moved` telling where each of them is."""
+
     def respanned(node: Action | Argument) -> dict[str, int | str]:
-        first, last = moved(node)
-        return {"start": first, "end": last, "text": caption[first:last]}
+        start, end = moved(node)
+        return {"start": start, "end": end, "text": caption[start:end]}
 
     actions = []
     for action in graph.actions:
         parts = tuple(replace(part, **respanned(part)) for part in action.arguments)  # type: ignore[arg-type]
         actions.append(replace(action, arguments=parts, **respanned(action)))  # type: ignore[arg-type]
     return SemanticGraph(caption, tuple(actions))
+
+
+def _span(node: Action | Argument) -> tuple[int, int]:
+    return node.start, node.end
 
 
 def _appended(graph: SemanticGraph, place: int, text: str, skip: int) -> tuple[SemanticGraph, int, int]:

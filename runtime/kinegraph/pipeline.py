@@ -28,11 +28,12 @@ from kinegraph.conditions import (
 )
 from kinegraph.contract import LEVELS
 from kinegraph.decoding import decode, finite
-from kinegraph.diffusion.composition import Composition, Wiring, composition, mixed
+from kinegraph.diffusion.composition import Wiring, composition, mixed
 from kinegraph.diffusion.ddim import DdimCoefficients
 from kinegraph.diffusion.guidance import guided
 from kinegraph.diffusion.sampler import LevelPlan, OnStep, Predict, PredictorFor, coarse_to_fine, initial_noise
 from kinegraph.duration import expected_frames
+from kinegraph.edits import edge_terms
 from kinegraph.graph import SemanticGraph
 from kinegraph.manifest import Manifest
 from kinegraph.motion.clip import Clip
@@ -112,7 +113,7 @@ class MotionPipeline:
         """A clip for a sentence or a graph. The same arguments give the same clip, bit for bit.
 
         Args:
-            text: a sentence, or its graph.
+            text: a sentence, or its graph; weights of its edges count as `edits.edge_terms` says.
             seconds: length; None lets the sentence decide, as far as the bundle knows how long such motions take.
             seed: of the noise, 0 to 2**63 - 1; None draws one, to be found in the clip.
             steps: diffusion steps, one number or one per level.
@@ -126,11 +127,15 @@ class MotionPipeline:
         """
         options = generate_options(self.manifest, seconds=seconds, seed=seed, steps=steps, guidance=guidance)
         graph = text if isinstance(text, SemanticGraph) else self.parse(text)
-        arrays = [self._arrays(graph)]
+        terms = edge_terms(graph)
+        arrays = [self._arrays(each) for each, _ in terms]
         if seconds is None:
-            options = self._with_own_length(options, arrays)
-        encoded = self._encode(arrays)
-        latent = self._sample(encoded, [options], on_step)
+            options = self._with_own_length(options, arrays[:1])
+        encoded, weights = self._encode(arrays), [weight for _, weight in terms]
+        if weights == [1.0]:
+            latent = self._sample(encoded, [options], on_step)
+        else:
+            latent = self._composed(encoded, weights, [], (1.0, 0.0, 0.0), options, on_step)
         return self._clip(latent, options, graph.caption)
 
     def compose(
@@ -166,22 +171,45 @@ class MotionPipeline:
         joint = joint_caption(found) if text is None else text
         wanted = [concept.text for concept in found] + ([joint] if shares[2] else [])
         graphs = [each if isinstance(each, SemanticGraph) else self.parse(each) for each in wanted]
-        arrays = [self._arrays(graph) for graph in graphs]
+        terms = [edge_terms(graph) for graph in graphs]
+        arrays = [[self._arrays(each) for each, _ in own] for own in terms]
         if seconds is None:
-            wanted_ones = [one for one, concept in zip(arrays, found, strict=False) if concept.weight > 0]
+            wanted_ones = [own[0] for own, concept in zip(arrays, found, strict=False) if concept.weight > 0]
             options = self._with_own_length(options, wanted_ones)
-        encoded = self._encode(arrays)
-        weights = [concept.weight for concept in found]
+        encoded = self._encode([each for own in arrays for each in own])
+        weights = [one.weight * part for one, own in zip(found, terms, strict=False) for _, part in own]
+        joint_weights = [part for own in terms[len(found) :] for _, part in own]
+        latent = self._composed(encoded, weights, joint_weights, shares, options, on_step)
+        caption = joint.caption if isinstance(joint, SemanticGraph) else joint
+        return self._clip(latent, options, caption)
+
+    def _composed(
+        self,
+        encoded: Conditions,
+        weights: Sequence[float],
+        joint: Sequence[float],
+        shares: tuple[float, float, float],
+        options: GenerateOptions,
+        on_step: OnStep | None,
+    ) -> FloatArray:
+        """Latent of the finest level from several graphs, one run per step whatever the method.
+
+        Rows of `encoded` come in the order of `weights`, then of `joint`, the graphs of the joint text.
+        """
 
         def predictor_for(number: int, times: DdimCoefficients, coarse: FloatArray | None) -> Predict:
             name = LEVELS[number]
             apart = coarse is not None and self.manifest.defaults.guidance_base == "empty"
-            plan = composition(weights, shares, options.guidance[name], coarse=apart)
-            return self._composer(name, encoded, coarse, options.frames, times, plan)
+            plan = composition(weights, shares, options.guidance[name], coarse=apart, joint_weights=joint)
+            seen = for_level(encoded, self.manifest.levels[name].nodes)
+            first = Conditions(*(part[:1] for part in vars(seen).values()))
+            known = stacked(stacked(self._base(first), without_text(first)), seen)
+            rows = len(plan.mix)
+            shared = None if coarse is None else np.repeat(coarse, len(known.kind), axis=0)
+            network = self._network(name, known, shared, plan.wiring, np.full(rows, options.frames), times)
+            return lambda latent, step: mixed(network(np.repeat(latent, rows, axis=0), step), plan.mix)
 
-        latent = self._sampled([options], predictor_for, on_step)
-        caption = joint.caption if isinstance(joint, SemanticGraph) else joint
-        return self._clip(latent, options, caption)
+        return self._sampled([options], predictor_for, on_step)
 
     def _with_own_length(self, options: GenerateOptions, arrays: Sequence[GraphArrays]) -> GenerateOptions:
         """The length that the longest of some sentences asks for; as it is, where the bundle cannot tell."""
@@ -251,24 +279,6 @@ class MotionPipeline:
             return guided(unconditional, conditional, scale)
 
         return predict
-
-    def _composer(
-        self,
-        name: str,
-        encoded: Conditions,
-        coarse: FloatArray | None,
-        frames: int,
-        times: DdimCoefficients,
-        plan: Composition,
-    ) -> Predict:
-        """Composed noise prediction of one level, one run per step whatever the method."""
-        seen = for_level(encoded, self.manifest.levels[name].nodes)
-        first = Conditions(*(part[:1] for part in vars(seen).values()))
-        known = stacked(stacked(self._base(first), without_text(first)), seen)
-        count, rows = len(known.kind), len(plan.mix)
-        shared = None if coarse is None else np.repeat(coarse, count, axis=0)
-        network = self._network(name, known, shared, plan.wiring, np.full(rows, frames), times)
-        return lambda latent, step: mixed(network(np.repeat(latent, rows, axis=0), step), plan.mix)
 
     def _base(self, seen: Conditions) -> Conditions:
         """What guidance leads away from."""

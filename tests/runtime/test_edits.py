@@ -13,13 +13,23 @@ from cli_runs import fails
 from hypothesis import given
 from hypothesis import strategies as st
 
-from kinegraph import InvalidGraphError, MotionPipeline, cli
+from kinegraph import Concept, InvalidGraphError, MotionPipeline, cli
 from kinegraph.bundle import DEFAULT_BUNDLE
-from kinegraph.conditions import structure
-from kinegraph.edits import MASK, masked, replaced, with_action, with_argument, with_weight, without
+from kinegraph.edits import (
+    MASK,
+    STRENGTHENING,
+    edge_terms,
+    masked,
+    replaced,
+    with_action,
+    with_argument,
+    with_weight,
+    without,
+)
 from kinegraph.formats.graph_svg import graph_svg
 from kinegraph.graph import MAX_WEIGHT, Action, Argument, SemanticGraph
 from kinegraph.limits import MAX_NODES
+from kinegraph.text.removal import without_words
 
 CAPTION = "a person walks slowly to the left and then waves slowly"
 needs_default = pytest.mark.skipif(not (DEFAULT_BUNDLE / "manifest.json").is_file(), reason="no default bundle")
@@ -56,20 +66,73 @@ def test_one_weight_changes_and_nothing_else(node: str | int) -> None:
     assert SemanticGraph.from_json(found.to_json()) == found
 
 
-def test_a_weight_of_zero_is_structurally_the_graph_without_the_node() -> None:
-    faint, gone = with_weight(GRAPH, "to the left", 0.0), without(GRAPH, "to the left")
-    keep = [0, 1, 2, 3, 4, 6]
-    path = structure(faint)[4]
-    assert path[5] == 0.0
-    for number, (own, other) in enumerate(zip(structure(faint), structure(gone), strict=True)):
-        rows = own[np.ix_(keep, keep)] if own.ndim == 2 else own[keep]
-        np.testing.assert_array_equal(rows, other, err_msg=str(number))
-
-
-def test_without_an_action_its_arguments_go_and_the_order_of_others_stays() -> None:
+def test_without_a_node_its_words_go_and_the_order_of_other_actions_stays() -> None:
     found = without(GRAPH, "walks")
-    assert texts(found) == ["waves", "slowly"] and found.actions[0].order == 1 and found.caption == CAPTION
-    assert texts(without(GRAPH, 6)) == ["walks", "waves", "a person", "slowly", "to the left"]
+    assert (found.caption, texts(found), found.actions[0].order) == ("waves slowly", ["waves", "slowly"], 1)
+    found = without(GRAPH, "waves")
+    assert (found.caption, texts(found)) == ("a person walks slowly to the left", texts(GRAPH)[:1] + texts(GRAPH)[2:5])
+    found = without(GRAPH, 4)
+    assert found.caption == "a person walks to the left and then waves slowly"
+    assert texts(found) == ["walks", "waves", "a person", "to the left", "slowly"]
+
+
+@pytest.mark.parametrize(
+    ("caption", "gone", "kept", "joined", "left"),
+    [
+        ("he walks, jumps, and runs.", [(10, 15)], [(3, 8), (21, 25)], 10, "he walks, and runs."),
+        ("he walks to the left, then waves and bows", [(27, 32)], [(3, 8), (12, 20), (22, 26)], 27,
+         "he walks to the left then and bows"),
+        ("he starts to walk", [(13, 17)], [(3, 9), (10, 17)], 13, "he starts to walk"),
+        ("slowly he walks", [(0, 6)], [(10, 15)], None, "he walks"),
+        ("he walks slowly.", [(9, 15)], [(3, 8)], None, "he walks."),
+    ],
+)  # fmt: skip
+def test_words_are_taken_out_so_that_the_rest_reads_on(
+    caption: str, gone: list[tuple[int, int]], kept: list[tuple[int, int]], joined: int | None, left: str
+) -> None:
+    words, places = without_words(caption, gone, kept, joined)
+    assert words == left
+    for start, end in kept:
+        assert words[places[start] : places[end - 1] + 1] == caption[start:end]
+
+
+def test_a_weight_scales_what_its_node_adds() -> None:
+    assert edge_terms(GRAPH) == [(GRAPH, 1.0)]
+    gone = without(GRAPH, "to the left")
+    assert edge_terms(with_weight(GRAPH, "to the left", 0)) == [(gone, 1.0)]
+    assert edge_terms(with_weight(GRAPH, "to the left", 0.25)) == [(GRAPH, 0.25), (gone, 0.75)]
+    more = 2 * STRENGTHENING
+    assert edge_terms(with_weight(GRAPH, "to the left", 3)) == [(GRAPH, 1 + more), (gone, -more)]
+    both = edge_terms(with_weight(with_weight(with_weight(GRAPH, 5, 3), "waves", 0.5), 4, 0))
+    assert [graph.caption for graph, _ in both] == [
+        "a person walks to the left and then waves slowly",
+        "a person walks to the left",
+        "a person walks and then waves slowly",
+    ]
+    assert [weight for _, weight in both] == pytest.approx([0.5 + more, 0.5, -more])
+
+
+@given(st.lists(st.sampled_from([0.0, 0.5, 1.0, 3.0]), min_size=6, max_size=6))
+def test_any_weights_make_plain_graphs_whose_coefficients_sum_to_one(weights: list[float]) -> None:
+    graph = GRAPH
+    for number, weight in enumerate(weights, start=1):
+        graph = with_weight(graph, number, weight)
+    if weights[0] == weights[1] == 0:
+        with pytest.raises(InvalidGraphError, match="only action"):
+            edge_terms(graph)
+        return
+    terms = edge_terms(graph)
+    assert all(node.weight == 1 for plain, _ in terms for node in plain.nodes)
+    if 0 not in weights[:2]:
+        assert sum(weight for _, weight in terms) == pytest.approx(1)
+        assert len(terms) == 1 + sum(weight not in (0, 1) for weight in weights)
+
+
+def test_the_only_action_counts_against_no_text() -> None:
+    alone = without(GRAPH, "waves")
+    assert edge_terms(with_weight(alone, "walks", 0.5)) == [(alone, 0.5)]
+    with pytest.raises(InvalidGraphError, match="only action"):
+        edge_terms(with_weight(alone, "walks", 0))
 
 
 @pytest.mark.parametrize("text", ["runs", "strolls about", "x"])
@@ -87,7 +150,9 @@ def test_a_node_around_the_words_grows_and_one_inside_is_told() -> None:
     assert texts(replaced(around, "walk", "run fast")) == ["starts", "run fast", "to run fast"]
     with pytest.raises(InvalidGraphError, match=r"'walk' lies in the words.*2 'walk' \(action\)"):
         replaced(around, "to walk", "to run")
-    assert texts(replaced(without(around, 2), "to walk", "to run")) == ["starts", "to run"]
+    alone = without(around, 2)
+    assert alone.caption == around.caption
+    assert texts(replaced(alone, "to walk", "to run")) == ["starts", "to run"]
 
 
 def test_what_is_added_stands_in_the_caption() -> None:
@@ -97,7 +162,7 @@ def test_what_is_added_stands_in_the_caption() -> None:
     more = with_argument(found, "walks", "ARGM-ADV", "with a limp")
     assert more.caption == "a person walks slowly to the left with a limp and then waves slowly and bows"
     assert more.actions[0].arguments[-1].text == "with a limp" and more.actions[-1].text == "bows"
-    assert without(more, "with a limp").actions[0].arguments == GRAPH.actions[0].arguments
+    assert without(more, "with a limp") == found
 
 
 @pytest.mark.parametrize(
@@ -158,7 +223,7 @@ def test_edits_on_the_command_line(tmp_path: Path, capsys: pytest.CaptureFixture
     edits = ["--weight", "to the left=2", "--drop", "slowly", "--replace", "walks=runs", "--mask", "1"]
     assert cli.main(["parse", "a person walks slowly to the left", *edits]) == 0
     graph = SemanticGraph.from_json(capsys.readouterr().out)
-    assert graph.caption == f"a person {MASK} slowly to the left"
+    assert graph.caption == f"a person {MASK} to the left"
     assert {node.text: node.weight for node in graph.nodes} == {MASK: 1, "a person": 1, "to the left": 2}
     (tmp_path / "g.json").write_text(graph.to_json())
     few = ["--steps", "2", "--seconds", "1", "--seed", "1", "--quiet"]
@@ -196,7 +261,23 @@ def test_weight_zero_is_deletion_and_weight_one_is_nothing() -> None:
     few = {"steps": (3, 3, 4), "seconds": 2, "seed": 3}
     plain = pipe.generate(graph, **few).joints
     assert pipe.generate(with_weight(graph, "to the left", 1.0), **few).joints.tobytes() == plain.tobytes()
-    gone = pipe.generate(without(graph, "to the left"), **few).joints
-    faint = pipe.generate(with_weight(graph, "to the left", 0.0), **few).joints
-    np.testing.assert_allclose(faint, gone, atol=1e-5)
-    assert not np.allclose(gone, plain, atol=1e-4)
+    left = without(graph, "to the left")
+    gone = pipe.generate(left, **few).joints
+    for weight, room in ((0.0, 1e-5), (1e-6, 1e-3)):
+        faint = pipe.generate(with_weight(graph, "to the left", weight), **few).joints
+        np.testing.assert_allclose(faint, gone, atol=room)
+    assert not np.allclose(gone, plain, atol=1e-3)
+
+
+@needs_default
+@pytest.mark.parametrize(("weight", "counts"), [(0.5, 0.5), (2.0, 1 + STRENGTHENING)])
+def test_a_weight_between_is_the_latent_aware_composition_of_with_and_without(weight: float, counts: float) -> None:
+    pipe = MotionPipeline.load(threads=1)
+    graph = pipe.parse("a person walks slowly to the left")
+    few = {"steps": (3, 3, 4), "seconds": 2, "seed": 3}
+    edited = with_weight(graph, "to the left", weight)
+    both = [Concept(graph, counts), Concept(without(graph, "to the left"), 1 - counts)]
+    expected = pipe.compose(both, method="latent", **few).joints
+    np.testing.assert_allclose(pipe.generate(edited, **few).joints, expected, atol=1e-4)
+    for how in ({"method": "latent"}, {"method": "fused", "lambdas": (0.0, 0.0, 1.0)}):
+        np.testing.assert_allclose(pipe.compose([edited], **how, **few).joints, expected, atol=1e-4)

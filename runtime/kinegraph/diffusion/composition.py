@@ -56,18 +56,24 @@ class Composition:
 
 
 def composition(
-    weights: Sequence[float], lambdas: tuple[float, float, float], scale: float, *, coarse: bool
+    weights: Sequence[float],
+    lambdas: tuple[float, float, float],
+    scale: float,
+    *,
+    coarse: bool,
+    joint_weights: Sequence[float] = (1.0,),
 ) -> Composition:
     """Rows for the terms whose lambda is not 0.
 
-    Contexts are numbered 0 for nothing, 1 for no text beside the coarser latent, 2 .. n + 1 for the concepts, n + 2 for
-    the joint text. Rows come in the same order, with the semantic row before that of the joint text.
+    Contexts are numbered 0 for nothing, 1 for no text beside the coarser latent, 2 .. n + 1 for the concepts, n + 2
+    and on for the joint text. Rows come in the same order, with the semantic row before that of the joint text.
 
     Args:
         weights: w_1 .. w_n.
         lambdas: of the latent-aware, the semantic-aware and the joint-text term.
         scale: guidance s of the level.
         coarse: whether eps_c differs from eps_0.
+        joint_weights: of the graphs whose sum is the joint text: one of weight 1, unless its edges were edited.
     """
     latent, semantic, joint = lambdas
     w = np.asarray(weights, dtype=np.float64)
@@ -86,8 +92,8 @@ def composition(
         rows.append([(int(concept), float(share)) for concept, share in zip(concepts, shares, strict=True)])
         mix.append(scale * semantic)
     if joint:
-        rows.append([(len(w) + 2, 1.0)])
-        mix.append(scale * joint)
+        rows += [[(len(w) + 2 + place, 1.0)] for place in range(len(joint_weights))]
+        mix += [scale * joint * weight for weight in joint_weights]
     mix[0] = 1.0 - sum(mix)
     return Composition(_wiring(rows), np.array(mix, dtype=np.float32))
 
