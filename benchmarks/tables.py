@@ -40,6 +40,7 @@ def measurements(given: argparse.Namespace) -> list[Measurement]:
         Measurement("behaviour", "Behaviours beside captured clips", data),
         Measurement("evaluate", "The default bundle", (*data, *held, *work, *repeats)),
         Measurement("masked_verbs", "Verbs masked (GraphMotion, Table 6)", (*data, *work)),
+        Measurement("edit_curves", "Weights of edges", ()),
         Measurement("sampling", "Steps, spacing and guidance", (*data, *work)),
     ]
     if given.compare_steps:
