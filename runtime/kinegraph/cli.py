@@ -93,8 +93,10 @@ def _compose(options: argparse.Namespace) -> int:
 
 def _check_target(options: argparse.Namespace) -> None:
     """The cheapest check first, and nothing is computed for a file that cannot be written."""
+    from kinegraph.formats import check_names
     from kinegraph.motion.clip import check_target
 
+    check_names(options.output.suffix.lower(), options.names)
     check_target(options.output, options.force)
 
 
@@ -113,7 +115,7 @@ def _make(options: argparse.Namespace, make: Callable[..., Clip]) -> int:
             on_step=progress.show,
         )
     made = time.perf_counter()
-    clip.save(options.output, force=options.force)
+    clip.save(options.output, force=options.force, names=options.names)
     record = {
         "file": str(options.output),
         "frames": len(clip.joints),

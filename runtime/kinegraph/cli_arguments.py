@@ -73,7 +73,10 @@ def _add_sampling(parser: argparse.ArgumentParser) -> None:
         type=Path,
         required=True,
         metavar="FILE",
-        help="the suffix says the format: .npz, .bvh, .png",
+        help="the suffix says the format: .bvh, .glb, .npz, .png",
+    )
+    parser.add_argument(
+        "--names", default="smpl", metavar="CONVENTION", help="joint names in .bvh and .glb: smpl (default) or mixamo"
     )
     parser.add_argument("--seconds", type=float, metavar="S", help="length; without it the sentence decides")
     parser.add_argument("--seed", type=int, help="the same seed gives the same clip; default: a new one")

@@ -11,6 +11,7 @@ import numpy as np
 from kinegraph.errors import InvalidInputError
 from kinegraph.formats import encode
 from kinegraph.formats.atomic import check_target, suffix_of, write_atomically
+from kinegraph.formats.joint_names import DEFAULT_NAMES
 from kinegraph.motion.skeleton import JOINTS, FloatArray
 
 __all__ = ["Clip", "check_target"]
@@ -64,7 +65,7 @@ class Clip:
         """Seconds; every frame is shown for 1 / fps."""
         return self.frames / self.fps
 
-    def save(self, path: str | os.PathLike[str], *, force: bool = False) -> None:
+    def save(self, path: str | os.PathLike[str], *, force: bool = False, names: str = DEFAULT_NAMES) -> None:
         """Write a file; its suffix chooses the format (`formats.WRITERS`).
 
         The file appears complete or not at all.
@@ -72,12 +73,14 @@ class Clip:
         Args:
             path: file to write, in a folder that exists.
             force: replace an existing file.
+            names: what `.bvh` and `.glb` call the joints: "smpl" or "mixamo".
 
         Raises:
+            InvalidInputError: there is no such convention of names, or the format has none.
             OutputError: the file cannot be written there; see `check_target`.
         """
         check_target(path, force)
-        write_atomically(path, encode(self, suffix_of(path)))
+        write_atomically(path, encode(self, suffix_of(path), names))
 
 
 def _checked_joints(joints: object) -> FloatArray:
