@@ -95,9 +95,12 @@ def _check_target(options: argparse.Namespace) -> None:
     """The cheapest check first, and nothing is computed for a file that cannot be written."""
     from kinegraph.formats import check_names
     from kinegraph.motion.clip import check_target
+    from kinegraph.motion.retiming import check_fps
 
     check_names(options.output.suffix.lower(), options.names)
     check_target(options.output, options.force)
+    if options.fps is not None:
+        check_fps(options.fps)
 
 
 def _make(options: argparse.Namespace, make: Callable[..., Clip]) -> int:
@@ -114,6 +117,7 @@ def _make(options: argparse.Namespace, make: Callable[..., Clip]) -> int:
             guidance=options.guidance,
             on_step=progress.show,
         )
+    clip = _finished(clip, options)
     made = time.perf_counter()
     clip.save(options.output, force=options.force, names=options.names)
     record = {
@@ -135,6 +139,13 @@ def _make(options: argparse.Namespace, make: Callable[..., Clip]) -> int:
             f"{record['generate_ms']:.0f} ms after {record['load_ms']:.0f} ms of loading"
         )
     return 0
+
+
+def _finished(clip: Clip, options: argparse.Namespace) -> Clip:
+    """As the file wants it: loop and travel first, the frame rate last."""
+    clip = clip.looped() if options.loop else clip
+    clip = clip.in_place() if options.in_place else clip
+    return clip if options.fps is None else clip.resampled(options.fps)
 
 
 def _parse(options: argparse.Namespace) -> int:

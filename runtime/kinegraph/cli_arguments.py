@@ -79,6 +79,9 @@ def _add_sampling(parser: argparse.ArgumentParser) -> None:
         "--names", default="smpl", metavar="CONVENTION", help="joint names in .bvh and .glb: smpl (default) or mixamo"
     )
     parser.add_argument("--seconds", type=float, metavar="S", help="length; without it the sentence decides")
+    parser.add_argument("--fps", type=float, metavar="N", help="frames per second of the file; default: the model's 20")
+    parser.add_argument("--in-place", action="store_true", help="without travel over the floor")
+    parser.add_argument("--loop", action="store_true", help="cut and blended so that the end leads into the beginning")
     parser.add_argument("--seed", type=int, help="the same seed gives the same clip; default: a new one")
     parser.add_argument(
         "--steps", type=level_steps, metavar="N[,N,N]", help="diffusion steps: one number, or one per level"
