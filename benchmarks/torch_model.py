@@ -17,6 +17,7 @@ from kinegraph.contract import LEVELS
 from kinegraph.diffusion.sampler import LevelPlan, initial_noise
 from kinegraph.graph import SemanticGraph
 from kinegraph.motion.bones import with_bone_lengths
+from kinegraph.motion.feet import planted_feet
 from kinegraph.tables import bones_of
 from kinegraph_export.checkpoints import read_run
 from kinegraph_export.pipeline_parity import Request, torch_joints
@@ -74,7 +75,7 @@ class TorchModel:
             round(seconds * FPS), initial_noise(seed, plans), counts, dict.fromkeys(latents, guidance), GUIDANCE_BASE
         )
         joints = torch_joints(self._trained, self._condition(caption), request, self._own.mean, self._own.std)
-        return TorchClip(with_bone_lengths(joints, self._bones))
+        return TorchClip(planted_feet(with_bone_lengths(joints, self._bones), FPS))
 
     @torch.no_grad()
     def _condition(self, caption: str | SemanticGraph) -> GraphArrays:

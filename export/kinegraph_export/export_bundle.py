@@ -157,7 +157,7 @@ def pipeline_difference(folder: Path, trained: Trained, own: TrainedVae, bones: 
     distances = []
     for seed, prompt in enumerate(PROMPTS):
         graph = pipe.parse(prompt)
-        clip = pipe.generate(graph, seed=seed)
+        clip = pipe.generate(graph, seed=seed, foot_fix=False)
         plans = [LevelPlan(name, spec.tokens, spec.latent_width, 1) for name, spec in pipe.manifest.levels.items()]
         sampling = pipe.manifest.defaults
         request = Request(

@@ -115,6 +115,7 @@ def _make(options: argparse.Namespace, make: Callable[..., Clip]) -> int:
             seed=options.seed,
             steps=options.steps,
             guidance=options.guidance,
+            foot_fix=options.foot_fix,
             on_step=progress.show,
         )
     clip = _finished(clip, options)

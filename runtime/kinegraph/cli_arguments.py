@@ -89,6 +89,7 @@ def _add_sampling(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--guidance", type=level_numbers, metavar="X[,X,X]", help="guidance scale: one, or one per level"
     )
+    parser.add_argument("--no-foot-fix", dest="foot_fix", action="store_false", help="leave feet as the model has them")
     parser.add_argument("--threads", type=int, metavar="N", help="threads a model may use")
     parser.add_argument("--force", action="store_true", help="overwrite the file if it is there")
     parser.add_argument("--progress", action="store_true", help="show progress even if stderr is no terminal")

@@ -36,6 +36,8 @@ class GenerateOptions:
     """Diffusion steps of each level."""
     guidance: Mapping[str, float]
     """Guidance scale of each level; 0 is the unconditional model, 1 is no guidance."""
+    foot_fix: bool = True
+    """Whether feet that stand are held where they stand."""
 
 
 def generate_options(
@@ -45,6 +47,7 @@ def generate_options(
     seed: int | None = None,
     steps: Steps | None = None,
     guidance: Guidance | None = None,
+    foot_fix: bool = True,
 ) -> GenerateOptions:
     """Check a call's wishes; None takes the bundle's default.
 
@@ -54,6 +57,7 @@ def generate_options(
         seed: 0 to 2**63 - 1; None draws one from the operating system, to be found in the result.
         steps: diffusion steps, see `Steps`.
         guidance: guidance scale, 0 to 20, see `Guidance`.
+        foot_fix: whether feet that stand are held where they stand.
 
     Raises:
         InvalidInputError: naming the option, its value and what is allowed.
@@ -69,6 +73,7 @@ def generate_options(
         seed=_seed(seed),
         steps=_per_level(steps, "steps", manifest.defaults.steps, checked_steps),
         guidance=_per_level(guidance, "guidance", manifest.defaults.guidance, _guidance),
+        foot_fix=_flag(foot_fix, "foot_fix"),
     )
 
 
@@ -140,6 +145,12 @@ def _per_level(
             for level in LEVELS
         }
     )
+
+
+def _flag(value: object, name: str) -> bool:
+    if not isinstance(value, bool):
+        raise InvalidInputError(f"{name} must be True or False, not {_shown(value)}")
+    return value
 
 
 def _whole(value: object) -> int | None:

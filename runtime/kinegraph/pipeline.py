@@ -6,7 +6,6 @@ text -> graph -> node features -> graph attention -> motion -> action -> specifi
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -32,11 +31,12 @@ from kinegraph.diffusion.composition import Wiring, composition, mixed
 from kinegraph.diffusion.ddim import DdimCoefficients
 from kinegraph.diffusion.guidance import guided
 from kinegraph.diffusion.sampler import LevelPlan, OnStep, Predict, PredictorFor, coarse_to_fine, initial_noise
-from kinegraph.duration import expected_frames
+from kinegraph.duration import with_own_length
 from kinegraph.edits import edge_terms
 from kinegraph.graph import SemanticGraph
 from kinegraph.manifest import Manifest
 from kinegraph.motion.clip import Clip
+from kinegraph.motion.feet import planted_feet
 from kinegraph.network import RowNetwork, modulations, row_network
 from kinegraph.options import GenerateOptions, Guidance, Steps, generate_options
 from kinegraph.sessions import Sessions, open_sessions
@@ -108,6 +108,7 @@ class MotionPipeline:
         seed: int | None = None,
         steps: Steps | None = None,
         guidance: Guidance | None = None,
+        foot_fix: bool = True,
         on_step: OnStep | None = None,
     ) -> Clip:
         """A clip for a sentence or a graph. The same arguments give the same clip, bit for bit.
@@ -118,6 +119,7 @@ class MotionPipeline:
             seed: of the noise, 0 to 2**63 - 1; None draws one, to be found in the clip.
             steps: diffusion steps, one number or one per level.
             guidance: how strictly the text is followed, one number or one per level.
+            foot_fix: hold feet that stand where they stand (`motion.feet`).
             on_step: called after every step with a `StepInfo`; returning False stops with `Cancelled`.
 
         Raises:
@@ -125,12 +127,14 @@ class MotionPipeline:
             Cancelled: `on_step` returned False.
             NonFiniteError: a model produced NaN or infinity.
         """
-        options = generate_options(self.manifest, seconds=seconds, seed=seed, steps=steps, guidance=guidance)
+        options = generate_options(
+            self.manifest, seconds=seconds, seed=seed, steps=steps, guidance=guidance, foot_fix=foot_fix
+        )
         graph = text if isinstance(text, SemanticGraph) else self.parse(text)
         terms = edge_terms(graph)
         arrays = [self._arrays(each) for each, _ in terms]
         if seconds is None:
-            options = self._with_own_length(options, arrays[:1])
+            options = with_own_length(options, self._tables.get(DURATION), self.manifest, arrays[:1])
         encoded, weights = self._encode(arrays), [weight for _, weight in terms]
         if weights == [1.0]:
             latent = self._sample(encoded, [options], on_step)
@@ -149,6 +153,7 @@ class MotionPipeline:
         seed: int | None = None,
         steps: Steps | None = None,
         guidance: Guidance | None = None,
+        foot_fix: bool = True,
         on_step: OnStep | None = None,
     ) -> Clip:
         """A clip in which several motions happen at once, or do not (EnergyMoGen, Eq. 7-10).
@@ -159,7 +164,7 @@ class MotionPipeline:
                 with the joint text (Eq. 10).
             text: the joint text of "fused"; None joins the positive concepts with "while".
             lambdas: of "fused": shares of latent, semantic and joint text; default (0.1, 0.7, 0.2).
-            seconds, seed, steps, guidance, on_step: as in `generate`.
+            seconds, seed, steps, guidance, foot_fix, on_step: as in `generate`.
 
         Raises:
             InvalidInputError: a concept, weight or option is outside what can be composed; nothing has been run.
@@ -167,7 +172,9 @@ class MotionPipeline:
         """
         found = checked_concepts(concepts)
         shares = checked_lambdas(method, lambdas, text, found)
-        options = generate_options(self.manifest, seconds=seconds, seed=seed, steps=steps, guidance=guidance)
+        options = generate_options(
+            self.manifest, seconds=seconds, seed=seed, steps=steps, guidance=guidance, foot_fix=foot_fix
+        )
         joint = joint_caption(found) if text is None else text
         wanted = [concept.text for concept in found] + ([joint] if shares[2] else [])
         graphs = [each if isinstance(each, SemanticGraph) else self.parse(each) for each in wanted]
@@ -175,7 +182,7 @@ class MotionPipeline:
         arrays = [[self._arrays(each) for each, _ in own] for own in terms]
         if seconds is None:
             wanted_ones = [own[0] for own, concept in zip(arrays, found, strict=False) if concept.weight > 0]
-            options = self._with_own_length(options, wanted_ones)
+            options = with_own_length(options, self._tables.get(DURATION), self.manifest, wanted_ones)
         encoded = self._encode([each for own in arrays for each in own])
         weights = [one.weight * part for one, own in zip(found, terms, strict=False) for _, part in own]
         joint_weights = [part for own in terms[len(found) :] for _, part in own]
@@ -211,17 +218,10 @@ class MotionPipeline:
 
         return self._sampled([options], predictor_for, on_step)
 
-    def _with_own_length(self, options: GenerateOptions, arrays: Sequence[GraphArrays]) -> GenerateOptions:
-        """The length that the longest of some sentences asks for; as it is, where the bundle cannot tell."""
-        if DURATION not in self._tables:
-            return options
-        limits = self.manifest.frames
-        frames = expected_frames(self._tables[DURATION], arrays, limits.min, limits.max)
-        return replace(options, frames=frames, seconds=frames / self.manifest.fps)
-
     def _clip(self, latent: FloatArray, options: GenerateOptions, text: str) -> Clip:
         bones = bones_of(self._tables)
         (joints,) = decode(self._sessions.decoder, self.manifest, bones, latent, [options.frames])
+        joints = planted_feet(joints, self.manifest.fps) if options.foot_fix else joints
         bundle = f"{self.manifest.name} {self.manifest.version}"
         return Clip(joints=joints, fps=self.manifest.fps, seed=options.seed, text=text, bundle=bundle)
 
