@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from kinegraph import __version__
 from kinegraph.cli_arguments import add_bundle, add_compose, add_generate, add_parse
-from kinegraph.cli_input import captions, check_only_jsonl, concepts, edited, input_graph
+from kinegraph.cli_input import captions, check_only_jsonl, concepts, edited, input_graph, take_files
 from kinegraph.cli_output import Progress, as_json, info_record, info_text, one_line, verify_text
 from kinegraph.errors import Cancelled, KinegraphError
 
@@ -73,43 +73,56 @@ def _parser() -> argparse.ArgumentParser:
 
 
 def _generate(options: argparse.Namespace) -> int:
-    _check_target(options)
+    targets = _targets(options)
     wish = input_graph(options.text, options.graph)
-    edits = options.edits
 
-    def make(pipeline: MotionPipeline, **wishes: Any) -> Clip:
-        graph = edited(pipeline.parse(wish) if isinstance(wish, str) else wish, edits) if edits else wish
-        return pipeline.generate(graph, **wishes)
+    def make(pipeline: MotionPipeline, **wishes: Any) -> list[Clip]:
+        graph = pipeline.parse(wish) if isinstance(wish, str) else wish
+        graph = edited(graph, options.edits)
+        if all(node.weight == 1 for node in graph.nodes):
+            return pipeline.takes(graph, len(targets), **wishes)
+        return _one_by_one(pipeline.generate, graph, len(targets), wishes)
 
-    return _make(options, make)
+    return _make(options, targets, make)
 
 
 def _compose(options: argparse.Namespace) -> int:
-    _check_target(options)
+    targets = _targets(options)
     found = concepts(options.wanted, options.unwanted)
     own = {"method": options.method, "text": options.text, "lambdas": options.lambdas}
-    return _make(options, lambda pipeline, **wishes: pipeline.compose(found, **own, **wishes))
+    return _make(
+        options, targets, lambda pipeline, **wishes: _one_by_one(pipeline.compose, found, len(targets), own | wishes)
+    )
 
 
-def _check_target(options: argparse.Namespace) -> None:
-    """The cheapest check first, and nothing is computed for a file that cannot be written."""
+def _one_by_one(make: Callable[..., Clip], wish: object, count: int, wishes: dict[str, Any]) -> list[Clip]:
+    """Takes that cannot share a run; their seeds follow one another all the same."""
+    clips = [make(wish, **wishes)]
+    return clips + [make(wish, **wishes | {"seed": clips[0].seed + take}) for take in range(1, count)]
+
+
+def _targets(options: argparse.Namespace) -> list[Path]:
+    """Files to write. The cheapest check first, and nothing is computed for a file that cannot be written."""
     from kinegraph.formats import check_names
     from kinegraph.motion.clip import check_target
     from kinegraph.motion.retiming import check_fps
 
+    targets = take_files(options.output, options.takes)
     check_names(options.output.suffix.lower(), options.names)
-    check_target(options.output, options.force)
+    for target in targets:
+        check_target(target, options.force)
     if options.fps is not None:
         check_fps(options.fps)
+    return targets
 
 
-def _make(options: argparse.Namespace, make: Callable[..., Clip]) -> int:
+def _make(options: argparse.Namespace, targets: Sequence[Path], make: Callable[..., list[Clip]]) -> int:
     """Load, make, write, report."""
     start = time.perf_counter()
     pipeline = _load(options.bundle, options.threads)
     loaded = time.perf_counter()
     with Progress.on_stderr(quiet=options.quiet, forced=options.progress) as progress:
-        clip = make(
+        clips = make(
             pipeline,
             seconds=options.seconds,
             seed=options.seed,
@@ -118,20 +131,27 @@ def _make(options: argparse.Namespace, make: Callable[..., Clip]) -> int:
             foot_fix=options.foot_fix,
             on_step=progress.show,
         )
-    clip = _finished(clip, options)
+    clips = [_finished(clip, options) for clip in clips]
     made = time.perf_counter()
-    clip.save(options.output, force=options.force, names=options.names)
-    record = {
-        "file": str(options.output),
-        "frames": len(clip.joints),
-        "seconds": len(clip.joints) / clip.fps,
-        "fps": clip.fps,
-        "seed": clip.seed,
-        "bundle": f"{pipeline.manifest.name} {pipeline.manifest.version}",
-        "load_ms": round(1000 * (loaded - start), 1),
-        "generate_ms": round(1000 * (made - loaded), 1),
-        "write_ms": round(1000 * (time.perf_counter() - made), 1),
-    }
+    for target, clip in zip(targets, clips, strict=True):
+        writing = time.perf_counter()
+        clip.save(target, force=options.force, names=options.names)
+        record = {
+            "file": str(target),
+            "frames": len(clip.joints),
+            "seconds": len(clip.joints) / clip.fps,
+            "fps": clip.fps,
+            "seed": clip.seed,
+            "bundle": f"{pipeline.manifest.name} {pipeline.manifest.version}",
+            "load_ms": round(1000 * (loaded - start), 1),
+            "generate_ms": round(1000 * (made - loaded), 1),
+            "write_ms": round(1000 * (time.perf_counter() - writing), 1),
+        }
+        _report(record, options)
+    return 0
+
+
+def _report(record: dict[str, Any], options: argparse.Namespace) -> None:
     if options.json:
         print(as_json(record))
     elif not options.quiet:
@@ -139,7 +159,6 @@ def _make(options: argparse.Namespace, make: Callable[..., Clip]) -> int:
             f"{record['file']}: {record['frames']} frames, {record['seconds']:g} s, seed {record['seed']}; "
             f"{record['generate_ms']:.0f} ms after {record['load_ms']:.0f} ms of loading"
         )
-    return 0
 
 
 def _finished(clip: Clip, options: argparse.Namespace) -> Clip:

@@ -84,6 +84,9 @@ def _add_sampling(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--loop", action="store_true", help="cut and blended so that the end leads into the beginning")
     parser.add_argument("--seed", type=int, help="the same seed gives the same clip; default: a new one")
     parser.add_argument(
+        "--takes", type=int, default=1, metavar="N", help="clips of following seeds: FILE_1, FILE_2 ..."
+    )
+    parser.add_argument(
         "--steps", type=level_steps, metavar="N[,N,N]", help="diffusion steps: one number, or one per level"
     )
     parser.add_argument(

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from kinegraph.errors import InvalidInputError, KinegraphError
+from kinegraph.limits import MAX_TAKES
 
 if TYPE_CHECKING:
     from kinegraph.concepts import Concept
@@ -108,6 +109,20 @@ def _number(text: str, where: str) -> float:
         return float(text)
     except ValueError:
         raise InvalidInputError(f"{where}: {text!r} is no number") from None
+
+
+def take_files(output: Path, takes: int) -> list[Path]:
+    """The file, or for several takes `walk_1.bvh`, `walk_2.bvh` ...
+
+    Raises:
+        InvalidInputError: not 1 to `limits.MAX_TAKES`.
+    """
+    if not 1 <= takes <= MAX_TAKES:
+        raise InvalidInputError(f"takes must be a whole number from 1 to {MAX_TAKES}, not {takes}")
+    if takes == 1:
+        return [output]
+    digits = len(str(takes))
+    return [output.with_name(f"{output.stem}_{take:0{digits}}{output.suffix}") for take in range(1, takes + 1)]
 
 
 def named(name: str, text: str) -> tuple[str, str]:

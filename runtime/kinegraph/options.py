@@ -5,13 +5,14 @@ from __future__ import annotations
 import math
 import secrets
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from numbers import Integral, Real
 from types import MappingProxyType
 from typing import Final, TypeVar
 
 from kinegraph.contract import LEVELS
 from kinegraph.errors import InvalidInputError
+from kinegraph.limits import MAX_TAKES
 from kinegraph.manifest import Manifest, ScheduleSpec
 
 MAX_GUIDANCE: Final = 20.0
@@ -75,6 +76,18 @@ def generate_options(
         guidance=_per_level(guidance, "guidance", manifest.defaults.guidance, _guidance),
         foot_fix=_flag(foot_fix, "foot_fix"),
     )
+
+
+def with_seeds(options: GenerateOptions, count: object) -> list[GenerateOptions]:
+    """The same wishes for several takes, whose seeds follow one another.
+
+    Raises:
+        InvalidInputError: not 1 to `limits.MAX_TAKES`, or seeds that end beyond the largest.
+    """
+    number = _whole(count)
+    if number is None or not 1 <= number <= MAX_TAKES:
+        raise InvalidInputError(f"takes must be a whole number from 1 to {MAX_TAKES}, not {_shown(count)}")
+    return [replace(options, seed=_seed(options.seed + take)) for take in range(number)]
 
 
 def frame_count(manifest: Manifest, seconds: float) -> int:

@@ -6,6 +6,7 @@ text -> graph -> node features -> graph attention -> motion -> action -> specifi
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,31 +15,18 @@ from numpy.typing import NDArray
 
 from kinegraph.bundle import read_bundle
 from kinegraph.concepts import Concept, checked_concepts, checked_lambdas, joint_caption
-from kinegraph.conditions import (
-    Conditions,
-    GraphArrays,
-    conditions,
-    for_level,
-    graph_arrays,
-    padded,
-    stacked,
-    without_anything,
-    without_text,
-)
-from kinegraph.contract import LEVELS
+from kinegraph.conditions import Conditions, GraphArrays, conditions, graph_arrays, padded, repeated
 from kinegraph.decoding import decode, finite
-from kinegraph.diffusion.composition import Wiring, composition, mixed
-from kinegraph.diffusion.ddim import DdimCoefficients
-from kinegraph.diffusion.guidance import guided
-from kinegraph.diffusion.sampler import LevelPlan, OnStep, Predict, PredictorFor, coarse_to_fine, initial_noise
+from kinegraph.denoisers import Denoisers
+from kinegraph.diffusion.sampler import OnStep
 from kinegraph.duration import with_own_length
 from kinegraph.edits import edge_terms
+from kinegraph.errors import InvalidInputError
 from kinegraph.graph import SemanticGraph
 from kinegraph.manifest import Manifest
 from kinegraph.motion.clip import Clip
 from kinegraph.motion.feet import planted_feet
-from kinegraph.network import RowNetwork, modulations, row_network
-from kinegraph.options import GenerateOptions, Guidance, Steps, generate_options
+from kinegraph.options import GenerateOptions, Guidance, Steps, generate_options, with_seeds
 from kinegraph.sessions import Sessions, open_sessions
 from kinegraph.tables import DURATION, bones_of
 from kinegraph.text.parser import LazyParser, check_caption
@@ -136,11 +124,52 @@ class MotionPipeline:
         if seconds is None:
             options = with_own_length(options, self._tables.get(DURATION), self.manifest, arrays[:1])
         encoded, weights = self._encode(arrays), [weight for _, weight in terms]
+        denoisers = Denoisers(self._sessions, self.manifest)
         if weights == [1.0]:
-            latent = self._sample(encoded, [options], on_step)
+            latent = denoisers.guided(encoded, [options], on_step)
         else:
-            latent = self._composed(encoded, weights, [], (1.0, 0.0, 0.0), options, on_step)
-        return self._clip(latent, options, graph.caption)
+            latent = denoisers.composed(encoded, weights, [], (1.0, 0.0, 0.0), options, on_step)
+        return self._clips(latent, [options], [graph.caption])[0]
+
+    def takes(
+        self,
+        text: str | SemanticGraph,
+        count: int,
+        *,
+        seconds: float | None = None,
+        seed: int | None = None,
+        steps: Steps | None = None,
+        guidance: Guidance | None = None,
+        foot_fix: bool = True,
+        on_step: OnStep | None = None,
+    ) -> list[Clip]:
+        """Several clips for one sentence, which share the runs of the models.
+
+        Take k is what `generate` makes of seed + k, to 0.1 mm: sums of a larger run are rounded in another order.
+
+        Args:
+            text: a sentence, or its graph; as it was parsed, without weights on its edges.
+            count: 1 to `limits.MAX_TAKES`.
+            seconds, seed, steps, guidance, foot_fix, on_step: as in `generate`.
+
+        Raises:
+            InvalidInputError: as in `generate`, a wrong count, or a graph with weights.
+            Cancelled, NonFiniteError: as in `generate`.
+        """
+        options = generate_options(
+            self.manifest, seconds=seconds, seed=seed, steps=steps, guidance=guidance, foot_fix=foot_fix
+        )
+        wishes = with_seeds(options, count)
+        graph = text if isinstance(text, SemanticGraph) else self.parse(text)
+        if any(node.weight != 1 for node in graph.nodes):
+            raise InvalidInputError("takes share one run, which cannot weigh edges; make weighted clips one by one")
+        arrays = [self._arrays(graph)]
+        if seconds is None:
+            length = with_own_length(options, self._tables.get(DURATION), self.manifest, arrays)
+            wishes = [replace(each, frames=length.frames, seconds=length.seconds) for each in wishes]
+        encoded = repeated(self._encode(arrays), count)
+        latent = Denoisers(self._sessions, self.manifest).guided(encoded, wishes, on_step)
+        return self._clips(latent, wishes, [graph.caption] * count)
 
     def compose(
         self,
@@ -186,44 +215,20 @@ class MotionPipeline:
         encoded = self._encode([each for own in arrays for each in own])
         weights = [one.weight * part for one, own in zip(found, terms, strict=False) for _, part in own]
         joint_weights = [part for own in terms[len(found) :] for _, part in own]
-        latent = self._composed(encoded, weights, joint_weights, shares, options, on_step)
+        denoisers = Denoisers(self._sessions, self.manifest)
+        latent = denoisers.composed(encoded, weights, joint_weights, shares, options, on_step)
         caption = joint.caption if isinstance(joint, SemanticGraph) else joint
-        return self._clip(latent, options, caption)
+        return self._clips(latent, [options], [caption])[0]
 
-    def _composed(
-        self,
-        encoded: Conditions,
-        weights: Sequence[float],
-        joint: Sequence[float],
-        shares: tuple[float, float, float],
-        options: GenerateOptions,
-        on_step: OnStep | None,
-    ) -> FloatArray:
-        """Latent of the finest level from several graphs, one run per step whatever the method.
-
-        Rows of `encoded` come in the order of `weights`, then of `joint`, the graphs of the joint text.
-        """
-
-        def predictor_for(number: int, times: DdimCoefficients, coarse: FloatArray | None) -> Predict:
-            name = LEVELS[number]
-            apart = coarse is not None and self.manifest.defaults.guidance_base == "empty"
-            plan = composition(weights, shares, options.guidance[name], coarse=apart, joint_weights=joint)
-            seen = for_level(encoded, self.manifest.levels[name].nodes)
-            first = Conditions(*(part[:1] for part in vars(seen).values()))
-            known = stacked(stacked(self._base(first), without_text(first)), seen)
-            rows = len(plan.mix)
-            shared = None if coarse is None else np.repeat(coarse, len(known.kind), axis=0)
-            network = self._network(name, known, shared, plan.wiring, np.full(rows, options.frames), times)
-            return lambda latent, step: mixed(network(np.repeat(latent, rows, axis=0), step), plan.mix)
-
-        return self._sampled([options], predictor_for, on_step)
-
-    def _clip(self, latent: FloatArray, options: GenerateOptions, text: str) -> Clip:
-        bones = bones_of(self._tables)
-        (joints,) = decode(self._sessions.decoder, self.manifest, bones, latent, [options.frames])
-        joints = planted_feet(joints, self.manifest.fps) if options.foot_fix else joints
+    def _clips(self, latent: FloatArray, wishes: Sequence[GenerateOptions], captions: Sequence[str]) -> list[Clip]:
+        """Latents (B, C, z) of the finest level as B clips."""
+        frames, fps = [each.frames for each in wishes], self.manifest.fps
+        motions = decode(self._sessions.decoder, self.manifest, bones_of(self._tables), latent, frames)
         bundle = f"{self.manifest.name} {self.manifest.version}"
-        return Clip(joints=joints, fps=self.manifest.fps, seed=options.seed, text=text, bundle=bundle)
+        return [
+            Clip(planted_feet(joints, fps) if each.foot_fix else joints, fps, each.seed, caption, bundle)
+            for joints, each, caption in zip(motions, wishes, captions, strict=True)
+        ]
 
     def _arrays(self, graph: SemanticGraph) -> GraphArrays:
         tokens = self._tokenizer.encode(graph.caption)
@@ -235,64 +240,3 @@ class MotionPipeline:
         """Graph attention over a batch of graphs."""
         (nodes,) = self._sessions.graph_encoder.run(["nodes_out"], padded(arrays))
         return conditions(arrays, finite(nodes, "the graph encoder"))
-
-    def _sample(self, encoded: Conditions, options: Sequence[GenerateOptions], on_step: OnStep | None) -> FloatArray:
-        """Latents of the finest level, (B, C, z); all samples of a batch share steps and guidance."""
-        first = options[0]
-        frames = np.array([each.frames for each in options])
-
-        def predictor_for(number: int, times: DdimCoefficients, coarse: FloatArray | None) -> Predict:
-            name = LEVELS[number]
-            return self._predictor(name, encoded, coarse, frames, times, first.guidance[name])
-
-        return self._sampled(options, predictor_for, on_step)
-
-    def _sampled(
-        self, options: Sequence[GenerateOptions], predictor_for: PredictorFor, on_step: OnStep | None
-    ) -> FloatArray:
-        """All levels, each sample from the noise of its own seed."""
-        plans = [
-            LevelPlan(name, spec.tokens, spec.latent_width, options[0].steps[name])
-            for name, spec in ((name, self.manifest.levels[name]) for name in LEVELS)
-        ]
-        per_sample = [initial_noise(each.seed, plans) for each in options]
-        noises = [np.stack(level) for level in zip(*per_sample, strict=True)]
-        return coarse_to_fine(plans, noises, predictor_for, self.manifest.schedule.noise, on_step)[-1]
-
-    def _predictor(
-        self,
-        name: str,
-        encoded: Conditions,
-        coarse: FloatArray | None,
-        frames: NDArray[np.int64],
-        times: DdimCoefficients,
-        scale: float,
-    ) -> Predict:
-        """Guided noise prediction of one level: rows are the unconditional predictions of all samples, then theirs."""
-        seen = for_level(encoded, self.manifest.levels[name].nodes)
-        known = stacked(self._base(seen), seen)
-        twice = None if coarse is None else np.concatenate([coarse, coarse])
-        network = self._network(name, known, twice, Wiring.straight(2 * len(frames)), np.tile(frames, 2), times)
-
-        def predict(latent: FloatArray, step: int) -> FloatArray:
-            unconditional, conditional = np.split(network(np.concatenate([latent, latent]), step), 2)
-            return guided(unconditional, conditional, scale)
-
-        return predict
-
-    def _base(self, seen: Conditions) -> Conditions:
-        """What guidance leads away from."""
-        return without_anything(seen) if self.manifest.defaults.guidance_base == "empty" else without_text(seen)
-
-    def _network(
-        self,
-        name: str,
-        known: Conditions,
-        coarse: FloatArray | None,
-        wiring: Wiring,
-        frames: NDArray[np.int64],
-        times: DdimCoefficients,
-    ) -> RowNetwork:
-        sessions = self._sessions
-        modulation = modulations(sessions.clock[name], times.timesteps, frames)
-        return row_network(sessions.context[name], sessions.step[name], known, coarse, wiring, modulation)
