@@ -1,4 +1,4 @@
-"""The command line: `kinegraph generate | compose | parse | info | verify`.
+"""The command line: `kinegraph generate | compose | sequence | parse | info | verify`.
 
 Exit codes: 0 done; 2 wrong input, bundle or target (one line on stderr says what); 130 interrupted.
 """
@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from kinegraph import __version__
-from kinegraph.cli_arguments import add_bundle, add_compose, add_generate, add_parse
+from kinegraph.cli_arguments import add_bundle, add_compose, add_generate, add_parse, add_sequence
 from kinegraph.cli_input import captions, check_only_jsonl, concepts, edited, input_graph, take_files
 from kinegraph.cli_output import Progress, as_json, info_record, info_text, one_line, verify_text
 from kinegraph.errors import Cancelled, KinegraphError
@@ -62,6 +62,7 @@ def _parser() -> argparse.ArgumentParser:
     for name, text, arguments, run in (
         ("generate", "make a clip from a sentence or a graph", add_generate, _generate),
         ("compose", "make a clip of several motions at once, or without some", add_compose, _compose),
+        ("sequence", "make a clip of several sentences, one after another", add_sequence, _sequence),
         ("parse", "print or draw the semantic graph of a sentence", add_parse, _parse),
         ("info", "what a bundle is: what it can do, licences, provenance, sizes, quality", add_bundle, _info),
         ("verify", "check every file, operator and session of a bundle", add_bundle, _verify),
@@ -92,6 +93,15 @@ def _compose(options: argparse.Namespace) -> int:
     own = {"method": options.method, "text": options.text, "lambdas": options.lambdas}
     return _make(
         options, targets, lambda pipeline, **wishes: _one_by_one(pipeline.compose, found, len(targets), own | wishes)
+    )
+
+
+def _sequence(options: argparse.Namespace) -> int:
+    targets = _targets(options)
+    return _make(
+        options,
+        targets,
+        lambda pipeline, **wishes: _one_by_one(pipeline.sequence, options.texts, len(targets), wishes),
     )
 
 

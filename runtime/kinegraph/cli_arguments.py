@@ -66,6 +66,12 @@ def add_compose(parser: argparse.ArgumentParser) -> None:
     _add_sampling(parser)
 
 
+def add_sequence(parser: argparse.ArgumentParser) -> None:
+    """Arguments of `sequence`."""
+    parser.add_argument("texts", nargs="+", metavar="TEXT", help="sentences in order; --seconds is the length of each")
+    _add_sampling(parser)
+
+
 def _add_sampling(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "-o",

@@ -19,5 +19,8 @@ MAX_FRAMES: Final = 196
 MAX_TAKES: Final = 64
 """Clips of one run."""
 
+MAX_PARTS: Final = 32
+"""Sentences of one sequence."""
+
 MAX_CONCEPTS: Final = 8
 """Concepts of one composition."""

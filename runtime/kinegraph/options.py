@@ -8,11 +8,11 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from numbers import Integral, Real
 from types import MappingProxyType
-from typing import Final, TypeVar
+from typing import Any, Final, TypeVar
 
 from kinegraph.contract import LEVELS
 from kinegraph.errors import InvalidInputError
-from kinegraph.limits import MAX_TAKES
+from kinegraph.limits import MAX_PARTS, MAX_TAKES
 from kinegraph.manifest import Manifest, ScheduleSpec
 
 MAX_GUIDANCE: Final = 20.0
@@ -88,6 +88,23 @@ def with_seeds(options: GenerateOptions, count: object) -> list[GenerateOptions]
     if number is None or not 1 <= number <= MAX_TAKES:
         raise InvalidInputError(f"takes must be a whole number from 1 to {MAX_TAKES}, not {_shown(count)}")
     return [replace(options, seed=_seed(options.seed + take)) for take in range(number)]
+
+
+def part_lengths(texts: object, seconds: object) -> list[Any]:
+    """The length of every part of a sequence; None where its sentence decides.
+
+    Raises:
+        InvalidInputError: no list of 1 to `limits.MAX_PARTS` sentences, or lengths that are not as many.
+    """
+    if isinstance(texts, str) or not isinstance(texts, Sequence):
+        raise InvalidInputError("a sequence takes a list of sentences")
+    if not 1 <= len(texts) <= MAX_PARTS:
+        raise InvalidInputError(f"a sequence has 1 to {MAX_PARTS} sentences, not {len(texts)}")
+    if not isinstance(seconds, list | tuple):
+        return [seconds] * len(texts)
+    if len(seconds) != len(texts):
+        raise InvalidInputError(f"seconds has {len(seconds)} lengths for {len(texts)} sentences")
+    return list(seconds)
 
 
 def frame_count(manifest: Manifest, seconds: float) -> int:

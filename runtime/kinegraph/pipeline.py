@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import onnxruntime
@@ -26,7 +27,8 @@ from kinegraph.graph import SemanticGraph
 from kinegraph.manifest import Manifest
 from kinegraph.motion.clip import Clip
 from kinegraph.motion.feet import planted_feet
-from kinegraph.options import GenerateOptions, Guidance, Steps, generate_options, with_seeds
+from kinegraph.motion.joining import joined
+from kinegraph.options import GenerateOptions, Guidance, Steps, generate_options, part_lengths, with_seeds
 from kinegraph.sessions import Sessions, open_sessions
 from kinegraph.tables import DURATION, bones_of
 from kinegraph.text.parser import LazyParser, check_caption
@@ -170,6 +172,39 @@ class MotionPipeline:
         encoded = repeated(self._encode(arrays), count)
         latent = Denoisers(self._sessions, self.manifest).guided(encoded, wishes, on_step)
         return self._clips(latent, wishes, [graph.caption] * count)
+
+    def sequence(
+        self,
+        texts: Sequence[str | SemanticGraph],
+        *,
+        seconds: float | Sequence[float] | None = None,
+        seed: int | None = None,
+        steps: Steps | None = None,
+        guidance: Guidance | None = None,
+        foot_fix: bool = True,
+        on_step: OnStep | None = None,
+    ) -> Clip:
+        """One clip of several sentences, one after another, joined where poses are alike (`motion.joining`).
+
+        Args:
+            texts: 1 to 32 sentences or graphs; sentence k is generated with seed + k.
+            seconds: of each part, before the joins: one length, one per sentence, or None for what each asks for.
+            seed, steps, guidance, foot_fix, on_step: as in `generate`.
+
+        Raises:
+            InvalidInputError, Cancelled, NonFiniteError: as in `generate`.
+        """
+        lengths = part_lengths(texts, seconds)
+        wishes: dict[str, Any] = {"steps": steps, "guidance": guidance, "foot_fix": foot_fix}
+        options = [generate_options(self.manifest, seconds=length, seed=seed, **wishes) for length in lengths]
+        graphs = [text if isinstance(text, SemanticGraph) else self.parse(text) for text in texts]
+        first = options[0].seed
+        clips = [
+            self.generate(graph, seconds=length, seed=first + place, on_step=on_step, **wishes)
+            for place, (graph, length) in enumerate(zip(graphs, lengths, strict=True))
+        ]
+        joints = joined([clip.joints for clip in clips], self.manifest.fps)
+        return replace(clips[0], joints=joints, text=", then ".join(clip.text for clip in clips))
 
     def compose(
         self,
