@@ -41,6 +41,7 @@ def measurements(given: argparse.Namespace) -> list[Measurement]:
         Measurement("evaluate", "The default bundle", (*data, *held, *work, *repeats)),
         Measurement("masked_verbs", "Verbs masked (GraphMotion, Table 6)", (*data, *work)),
         Measurement("edit_curves", "Weights of edges", ()),
+        Measurement("composition_settings", "Ways of composing (EnergyMoGen, Tables 7 and 9)", (*data, *held)),
         Measurement("sampling", "Steps, spacing and guidance", (*data, *work)),
     ]
     if given.compare_steps:

@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 import tables
 
-NAMES = ["reconstruction", "behaviour", "evaluate", "masked_verbs", "edit_curves", "sampling", "compare",
+NAMES = ["reconstruction", "behaviour", "evaluate", "masked_verbs", "edit_curves", "composition_settings", "sampling", "compare",
          "latent_tokens"]  # fmt: skip
 
 
@@ -53,7 +53,7 @@ def test_every_script_is_there_and_knows_its_arguments(
 ) -> None:
     (tmp_path / "masked_verbs.json").write_text("{}")
     assert call(monkeypatch, tmp_path, "--compare-steps", "0") == 0
-    assert {Path(command[1]).stem for command in ran} == {*NAMES[:3], "edit_curves", "sampling"}
+    assert {Path(command[1]).stem for command in ran} == {*NAMES[:3], "edit_curves", "composition_settings", "sampling"}
     assert call(monkeypatch, tmp_path) == 0
     assert [Path(command[1]).stem for command in ran[-2:]] == NAMES[-2:]
     for command in ran:
