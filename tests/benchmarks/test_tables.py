@@ -10,8 +10,8 @@ from typing import Any
 import pytest
 import tables
 
-NAMES = ["reconstruction", "behaviour", "evaluate", "masked_verbs", "edit_curves", "composition_settings", "sampling", "compare",
-         "latent_tokens"]  # fmt: skip
+NAMES = ["reconstruction", "behaviour", "evaluate", "masked_verbs", "edit_curves", "composition_settings", "sampling",
+         "compare", "latent_tokens"]  # fmt: skip
 
 
 @pytest.fixture
