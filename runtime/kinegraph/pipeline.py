@@ -227,7 +227,7 @@ class MotionPipeline:
             method: "latent" adds predictions (Eq. 7, 8), "semantic" mixes attention (Eq. 9), "fused" blends both
                 with the joint text (Eq. 10).
             text: the joint text of "fused"; None joins the positive concepts with "while".
-            lambdas: of "fused": shares of latent, semantic and joint text; default (0.1, 0.7, 0.2).
+            lambdas: of "fused": shares of latent, semantic and joint text; default (0.1, 0.3, 0.6).
             seconds, seed, steps, guidance, foot_fix, on_step: as in `generate`.
 
         Raises:
