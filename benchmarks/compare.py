@@ -13,6 +13,7 @@ import argparse
 import json
 import subprocess
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -25,15 +26,20 @@ HERE = Path(__file__).resolve().parent
 COLUMNS = ("r_precision_1", "fid", "mm_dist", "behaviour", "content", "style", "claims_degrees", "foot_skate", "jerk")
 
 
+def share(run: Path, source: Path, names: Sequence[str]) -> None:
+    """Make the folder of a run, and link to what it has in common with another."""
+    run.mkdir(parents=True, exist_ok=True)
+    for name in names:
+        original, link = source.resolve() / name, run / name
+        if original.exists() and not link.exists():
+            link.symlink_to(original)
+
+
 def prepare(variant: str, seed: int, options: argparse.Namespace) -> Path:
     """The folder of one run: links to the shared autoencoders and caches, and its preset."""
     run: Path = options.work / f"{variant}_seed{seed}"
-    run.mkdir(parents=True, exist_ok=True)
-    shared = [f"vae_{level}" for level in LEVELS] + ["captions.npz", "latents.pt", "states.npz"]
-    for name in shared:
-        source, link = options.autoencoders.resolve() / name, run / name
-        if source.exists() and not link.exists():
-            link.symlink_to(source)
+    vaes = [f"vae_{level}" for level in LEVELS]
+    share(run, options.autoencoders, [*vaes, "captions.npz", "latents.pt", "states.npz"])
     base = HERE / "comparisons" / f"{variant}.toml"
     text = f'base = "{base}"\nseed = {seed}\n\n[denoiser_training]\nsteps = {options.steps}\n'
     (run / "preset.toml").write_text(text, encoding="utf-8")

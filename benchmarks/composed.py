@@ -34,9 +34,9 @@ STEP = 4
 ALONE: dict[str, p.Predicate] = {behaviour.content: behaviour.holds for behaviour in CONTENTS + RARE}
 """The predicate of an action that nothing else goes on beside."""
 BESIDE = ALONE | {
-    "wave-left-hand": lambda joints: p.wrist_path(joints, "left") > 0.8,
-    "wave-right-hand": lambda joints: p.wrist_path(joints, "right") > 0.8,
-    "wave-both-hands": p.swings("both"),
+    "wave-left-hand": p.swings_high("left"),
+    "wave-right-hand": p.swings_high("right"),
+    "wave-both-hands": p.swings_high("both"),
     "raise-up-left-hand": lambda joints: p.above_head(joints, "left"),
     "raise-up-right-hand": lambda joints: p.above_head(joints, "right"),
 }

@@ -1,8 +1,8 @@
 """Steps, spacing and guidance against quality, for one bundle: which settings its manifest should have.
 
-    python benchmarks/sampling.py --data DATA/bandai --out sampling.json
+    python benchmarks/sampling.py --data DATA/bandai --out sampling.json [--only guidance]
 
-Through the runtime, one setting at a time moved away from the bundle's own; takes are kept in --work. Speed is not
+Through the runtime, a setting at a time moved away from the bundle's own; takes are kept in --work. Speed is not
 measured here: cost is the number of steps. Writes JSON, and a Markdown table beside it.
 """
 
@@ -11,26 +11,28 @@ from __future__ import annotations
 import argparse
 import json
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 from evaluate import SPLITS, Plan, evaluate, ratio
-from takes import BundleModel
+from takes import BundleModel, GuidanceBase, Spacing
 
 STEPS = ((4, 4, 4), (6, 6, 8), (8, 8, 10), (10, 10, 10), (15, 15, 20), (20, 15, 15), (25, 25, 25), (50, 50, 50))
 GUIDANCE = (1.0, 1.5, 2.0, 2.5, 3.0, 4.0, 6.0)
-SPACINGS: tuple[Literal["leading", "trailing"], ...] = ("leading", "trailing")
+SPACINGS: tuple[Spacing, ...] = ("leading", "trailing")
+BASES: tuple[GuidanceBase, ...] = ("empty", "coarse")
 COLUMNS = ("r_precision_1", "fid", "behaviour", "content", "style", "foot_skate", "jerk")
 
 
-def settings() -> dict[str, tuple[Literal["leading", "trailing"] | None, dict[str, Any]]]:
-    """Name -> spacing, options of `generate`."""
-    found: dict[str, Any] = {"as shipped": (None, {})}
+def settings() -> dict[str, tuple[dict[str, Any], dict[str, Any]]]:
+    """Name -> changes to the bundle (arguments of `BundleModel`), options of `generate`."""
+    found: dict[str, tuple[dict[str, Any], dict[str, Any]]] = {"as shipped": ({}, {})}
     for counts in STEPS:
         for spacing in SPACINGS:
             name = "/".join(map(str, counts))
-            found[f"steps {name}, {spacing}"] = (spacing, {"steps": counts})
+            found[f"steps {name}, {spacing}"] = ({"spacing": spacing}, {"steps": counts})
     for scale in GUIDANCE:
-        found[f"guidance {scale:g}"] = (None, {"guidance": scale})
+        for base in BASES:
+            found[f"guidance {scale:g}, away from {base}"] = ({"base": base}, {"guidance": scale})
     return found
 
 
@@ -57,12 +59,15 @@ def main() -> None:
     parser.add_argument("--bundle", type=Path, help="folder of a bundle; the default bundle without it")
     parser.add_argument("--work", type=Path, default=Path("evaluation"), help="folder for generated clips")
     parser.add_argument("--repeats", type=int, default=1)
+    parser.add_argument("--only", default="", help="settings whose name begins so")
     parser.add_argument("--out", type=Path, required=True, help="JSON file; a .md file is written beside it")
     given = parser.parse_args()
     results = {}
-    for name, (spacing, options) in settings().items():
+    for name, (changes, options) in settings().items():
+        if not name.startswith(given.only):
+            continue
         plan = Plan(given.bundle, None, given.data, given.work, None, given.repeats, options)
-        results[name] = evaluate(plan, BundleModel(given.bundle, spacing))
+        results[name] = evaluate(plan, BundleModel(given.bundle, **changes))
         given.out.write_text(json.dumps(results, indent=1) + "\n", encoding="utf-8")
     text = table(results)
     given.out.with_suffix(".md").write_text(text, encoding="utf-8")

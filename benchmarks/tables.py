@@ -40,6 +40,8 @@ def measurements(given: argparse.Namespace) -> list[Measurement]:
         Measurement("behaviour", "Behaviours beside captured clips", data),
         Measurement("evaluate", "The default bundle", (*data, *held, *work, *repeats)),
         Measurement("masked_verbs", "Verbs masked (GraphMotion, Table 6)", (*data, *work)),
+        Measurement("edit_curves", "Weights of edges", ()),
+        Measurement("composition_settings", "Ways of composing (EnergyMoGen, Tables 7 and 9)", (*data, *held)),
         Measurement("sampling", "Steps, spacing and guidance", (*data, *work)),
     ]
     if given.compare_steps:
@@ -48,6 +50,8 @@ def measurements(given: argparse.Namespace) -> list[Measurement]:
         more = ("--autoencoders", str(given.run), "--work", str(given.work / "comparisons"))
         title = f"Comparisons and ablations, {given.compare_steps} steps each, seeds {', '.join(seeds)}"
         found.append(Measurement("compare", title, (*VARIANTS, *data, *held, *more, *budget)))
+        tokens = (*data, *held, *more, "--steps", str(given.compare_steps // 2))
+        found.append(Measurement("latent_tokens", "Latent tokens (EnergyMoGen, Table 8)", tokens))
     return [Measurement(m.name, m.title, (*m.arguments, "--out", str(out / f"{m.name}.json"))) for m in found]
 
 

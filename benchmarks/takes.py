@@ -16,6 +16,8 @@ from kinegraph import MotionPipeline
 from kinegraph_training.data import MotionClip
 
 Joints = NDArray[np.float32]
+Spacing = Literal["leading", "trailing"]
+GuidanceBase = Literal["empty", "coarse"]
 
 
 class Model(Protocol):
@@ -34,11 +36,15 @@ class Model(Protocol):
 class BundleModel:
     """A bundle through the runtime."""
 
-    def __init__(self, folder: Path | None, spacing: Literal["leading", "trailing"] | None = None) -> None:
+    def __init__(self, folder: Path | None, spacing: Spacing | None = None, base: GuidanceBase | None = None) -> None:
+        """`spacing` and `base` replace what the bundle says of its timesteps and of what guidance leads away from."""
         pipe = MotionPipeline.load(folder)
-        if spacing is not None:
-            pipe.manifest = replace(pipe.manifest, schedule=replace(pipe.manifest.schedule, spacing=spacing))
         manifest = pipe.manifest
+        manifest = pipe.manifest = replace(
+            manifest,
+            schedule=replace(manifest.schedule, spacing=spacing or manifest.schedule.spacing),
+            defaults=replace(manifest.defaults, guidance_base=base or manifest.defaults.guidance_base),
+        )
         self.name = f"{manifest.name} {manifest.version}"
         parts = [spec.sha256 for _, spec in sorted(manifest.files.items())] + [
             repr(manifest.defaults),

@@ -17,6 +17,7 @@ from kinegraph.contract import LEVELS
 from kinegraph.diffusion.sampler import LevelPlan, initial_noise
 from kinegraph.graph import SemanticGraph
 from kinegraph.motion.bones import with_bone_lengths
+from kinegraph.motion.feet import planted_feet
 from kinegraph.tables import bones_of
 from kinegraph_export.checkpoints import read_run
 from kinegraph_export.pipeline_parity import Request, torch_joints
@@ -29,6 +30,7 @@ STEPS = {"motion": 15, "action": 15, "specific": 20}
 ONE_STAGE_STEPS = 50
 """All steps of the three levels, for a model that has only one."""
 GUIDANCE = 2.5
+GUIDANCE_BASE = "coarse"
 
 
 @dataclass(frozen=True)
@@ -69,9 +71,11 @@ class TorchModel:
         else:
             counts = {level: STEPS[level] for level in latents} if len(latents) > 1 else {LEVELS[-1]: ONE_STAGE_STEPS}
         plans = [LevelPlan(level, shape.tokens, shape.width, counts[level]) for level, shape in latents.items()]
-        request = Request(round(seconds * FPS), initial_noise(seed, plans), counts, dict.fromkeys(latents, guidance))
+        request = Request(
+            round(seconds * FPS), initial_noise(seed, plans), counts, dict.fromkeys(latents, guidance), GUIDANCE_BASE
+        )
         joints = torch_joints(self._trained, self._condition(caption), request, self._own.mean, self._own.std)
-        return TorchClip(with_bone_lengths(joints, self._bones))
+        return TorchClip(planted_feet(with_bone_lengths(joints, self._bones), FPS))
 
     @torch.no_grad()
     def _condition(self, caption: str | SemanticGraph) -> GraphArrays:

@@ -16,13 +16,13 @@ import shutil
 import sys
 import tempfile
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 import onnxruntime
 import torch
 
 import kinegraph
-from kinegraph.contract import LEVELS
 from kinegraph.diffusion.sampler import LevelPlan, initial_noise
 from kinegraph.errors import InvalidInputError, OutputError
 from kinegraph.manifest import (
@@ -37,16 +37,15 @@ from kinegraph.manifest import (
     describe_file,
     to_json,
 )
+from kinegraph.manifest_checks import FORMAT_VERSION
 from kinegraph.motion.bones import with_bone_lengths
 from kinegraph.motion.skeleton import JOINT_NAMES, PARENTS, FloatArray
 from kinegraph.onnx_ops import summarise
-from kinegraph.options import generate_options
 from kinegraph.pipeline import MotionPipeline
 from kinegraph.tables import bones_of
 from kinegraph.text.roles import ROLES
 from kinegraph_export.checkpoints import read_run
 from kinegraph_export.graphs import Trained, export_graphs, level_specs
-from kinegraph_export.modules import tables
 from kinegraph_export.parity import ParityError
 from kinegraph_export.pipeline_parity import Request, torch_joints
 from kinegraph_export.sources import MINILM, SPACY_MODEL
@@ -63,7 +62,6 @@ PROMPTS = (
     "the person dashes forward", "a person walks to the left", "someone waves, then walks away proudly",
 )  # fmt: skip
 MAX_PIPELINE_MM = 1.0
-FORMAT_VERSION = 1
 
 
 @dataclasses.dataclass(frozen=True)
@@ -74,9 +72,11 @@ class Card:
     version: str
     licence: dict[str, str]
     training_data: str
+    scope: dict[str, str]
     training: dict[str, str | float | int]
     steps: dict[str, int]
     guidance: dict[str, float]
+    guidance_base: Literal["empty", "coarse"]
     seconds: float
     quality: dict[str, float]
 
@@ -89,15 +89,10 @@ class Card:
             raise InvalidInputError(f"{path} is no bundle card: {error}") from error
 
 
-def table_file(trained: Trained, measured: dict[str, FloatArray]) -> bytes:
-    """tables.npz of all levels, with what the run measured on its data."""
-    config = trained.hierarchy.config
-    arrays = dict(measured)
-    for level in LEVELS:
-        time, length = tables(trained.hierarchy.levels[level].clock, config.train_steps, config.max_frames)
-        arrays |= {f"time_{level}": time.numpy(), f"length_{level}": length.numpy()}
+def table_file(measured: dict[str, FloatArray]) -> bytes:
+    """tables.npz: what the run measured on its data."""
     buffer = io.BytesIO()
-    np.savez(buffer, **arrays)
+    np.savez(buffer, **measured)
     return buffer.getvalue()
 
 
@@ -121,6 +116,7 @@ def manifest_of(
             "built_with": f"kinegraph {kinegraph.__version__}, torch {torch.__version__}, "
             f"onnxruntime {onnxruntime.__version__}, Python {platform.python_version()}",
         },
+        scope=card.scope,
         skeleton=SkeletonSpec(JOINT_NAMES, PARENTS),
         fps=20.0,
         frames=FrameSpec(min=16, max=config.max_frames, per_token=trained.vae.config.frames_per_token),
@@ -128,7 +124,7 @@ def manifest_of(
         text=TextSpec(width=config.text_width, mask_token="[MASK]"),
         levels=level_specs(trained),
         schedule=ScheduleSpec(config.train_steps, 8.5e-4, 0.012, 1, "leading", "epsilon"),
-        defaults=Defaults(card.steps, card.guidance, card.seconds),
+        defaults=Defaults(card.steps, card.guidance, card.guidance_base, card.seconds),
         roles=ROLES,
         precision="fp32",
         files={name: describe_file(data) for name, data in sorted(files.items())},
@@ -161,10 +157,12 @@ def pipeline_difference(folder: Path, trained: Trained, own: TrainedVae, bones: 
     distances = []
     for seed, prompt in enumerate(PROMPTS):
         graph = pipe.parse(prompt)
-        clip = pipe.generate(graph, seed=seed)
-        options = generate_options(pipe.manifest, seed=seed, seconds=clip.frames / clip.fps)
+        clip = pipe.generate(graph, seed=seed, foot_fix=False)
         plans = [LevelPlan(name, spec.tokens, spec.latent_width, 1) for name, spec in pipe.manifest.levels.items()]
-        request = Request(clip.frames, initial_noise(seed, plans), dict(options.steps), dict(options.guidance))
+        sampling = pipe.manifest.defaults
+        request = Request(
+            clip.frames, initial_noise(seed, plans), sampling.steps, sampling.guidance, sampling.guidance_base
+        )
         expected = with_bone_lengths(torch_joints(trained, pipe._arrays(graph), request, own.mean, own.std), bones)
         distances.append(np.linalg.norm(clip.joints - expected, axis=-1).mean() * 1000.0)
     return float(np.mean(distances))
@@ -181,7 +179,7 @@ def export_bundle(run: Path, assets: Path, card: Card, out: Path) -> Manifest:
     graphs, parity = export_graphs(trained, trained.hierarchy.config.text_width, len(own.mean))
     measured = read_tables(run)
     files = {name: (assets / name).read_bytes() for name in ASSETS} | graphs
-    files["tables.npz"] = table_file(trained, measured)
+    files["tables.npz"] = table_file(measured)
     draft = manifest_of(card, trained, own, files, parity)
     if out.exists() and not (out / "manifest.json").is_file():
         raise OutputError(f"{out} exists and is not a bundle; name another folder")

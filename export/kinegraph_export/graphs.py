@@ -11,7 +11,7 @@ from torch import nn
 
 from kinegraph.contract import LEVELS, NODE_KINDS, GraphContract, LevelSpec, contracts
 from kinegraph.errors import InvalidInputError
-from kinegraph_export.modules import ContextGraph, DecoderGraph, MotionContextGraph, StepGraph
+from kinegraph_export.modules import ClockGraph, ContextGraph, DecoderGraph, MotionContextGraph, StepGraph
 from kinegraph_export.onnx_export import halved_weights, serialised, to_onnx
 from kinegraph_export.parity import max_difference, module_arguments
 from kinegraph_training.models.hierarchy import Hierarchy
@@ -65,6 +65,7 @@ def graph_modules(trained: Trained) -> dict[str, nn.Module]:
         denoiser = trained.hierarchy.levels[level]
         wrap = MotionContextGraph if level == LEVELS[0] else ContextGraph
         modules[f"context_{level}"] = wrap(denoiser.context)
+        modules[f"clock_{level}"] = ClockGraph(denoiser.clock)
         modules[f"step_{level}"] = StepGraph(denoiser.step)
     modules["decoder"] = DecoderGraph(trained.vae, trained.centre, trained.scale)
     return {name: module.eval() for name, module in modules.items()}
@@ -96,6 +97,10 @@ def _values(name: str, shape: tuple[int, ...], size: dict[str, int], rng: np.ran
         return rng.integers(0, 4, shape)
     if name == "order":
         return rng.integers(0, 20, shape)
+    if name == "timestep":
+        return rng.integers(0, 1000, shape)
+    if name == "frames":
+        return rng.integers(16, 197, shape)
     if name == "src":
         return rng.integers(0, size["R"], shape)
     if name == "edge_weight":

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import torch
 from torch import Tensor, nn
 
 from kinegraph_training.models.denoiser import Clock, ContextEncoder, Mixing, StepNetwork
@@ -27,18 +26,29 @@ class MotionContextGraph(ContextGraph):
         return tuple(part for pair in self.context(nodes, kind, order) for part in pair)
 
 
+class ClockGraph(nn.Module):
+    """clock_{level}: diffusion steps (k,), frames (b,) -> modulation (k, b, m, d)."""
+
+    def __init__(self, clock: Clock) -> None:
+        super().__init__()
+        self.clock = clock
+
+    def forward(self, timestep: Tensor, frames: Tensor) -> Tensor:
+        return self.clock(timestep[:, None], frames[None])
+
+
 class StepGraph(nn.Module):
-    """step_{level}: latent, temb, keys and values, src, combine, bias -> noise."""
+    """step_{level}: latent, modulation, keys and values, src, combine, bias -> noise."""
 
     def __init__(self, step: StepNetwork) -> None:
         super().__init__()
         self.step = step
 
     def forward(
-        self, latent: Tensor, temb: Tensor, context: list[Tensor], src: Tensor, combine: Tensor, bias: Tensor
+        self, latent: Tensor, modulation: Tensor, context: list[Tensor], src: Tensor, combine: Tensor, bias: Tensor
     ) -> Tensor:
         pairs = list(zip(context[::2], context[1::2], strict=True))
-        return self.step(latent, temb, pairs, bias, Mixing(src, combine))
+        return self.step(latent, modulation, pairs, bias, Mixing(src, combine))
 
 
 class DecoderGraph(nn.Module):
@@ -52,9 +62,3 @@ class DecoderGraph(nn.Module):
 
     def forward(self, latent: Tensor, frame_mask: Tensor) -> Tensor:
         return self.vae.decode(latent * self.scale + self.centre, frame_mask)
-
-
-@torch.no_grad()
-def tables(clock: Clock, train_steps: int, max_frames: int) -> tuple[Tensor, Tensor]:
-    """The clock as two tables: (train_steps, d) by diffusion step and (max_frames + 1, d) by length."""
-    return clock.of_time(torch.arange(train_steps)), clock.of_length(torch.arange(max_frames + 1))

@@ -5,6 +5,7 @@ Written without the runtime's sampler: its own schedule, loop and batching.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -27,8 +28,10 @@ class Request:
     frames: int
     noise: tuple[FloatArray, ...]
     """(c, z) per level."""
-    steps: dict[str, int]
-    guidance: dict[str, float]
+    steps: Mapping[str, int]
+    guidance: Mapping[str, float]
+    guidance_base: str
+    """As in `kinegraph.manifest.Defaults`."""
 
 
 def alpha_bar(train_steps: int = 1000) -> Tensor:
@@ -59,12 +62,12 @@ def level_latent(
     table, stride = alpha_bar(), 1000 // request.steps[level]
     for index in reversed(range(request.steps[level])):
         time = index * stride + 1
-        temb = denoiser.clock(torch.tensor([time]), torch.tensor([request.frames]))
+        clock = denoiser.clock(torch.tensor([time]), torch.tensor([request.frames]))
         noise = {}
         for name, (context, bias) in cases.items():
-            hidden = torch.full((1, extra), MASKED if name == "null" else 0.0)
+            hidden = torch.full((1, extra), MASKED if name == "null" and request.guidance_base == "empty" else 0.0)
             full = torch.cat([bias, hidden], dim=1)[:, None, None, :]
-            noise[name] = denoiser.step(latent, temb, context, full)
+            noise[name] = denoiser.step(latent, clock, context, full)
         guided = noise["null"] + request.guidance[level] * (noise["text"] - noise["null"])
         now, after = table[time], table[max(time - stride, 0)]
         clean = (latent - (1 - now).sqrt() * guided) / now.sqrt()

@@ -1,4 +1,4 @@
-"""The command line: `kinegraph generate | compose | parse | info | verify`.
+"""The command line: `kinegraph generate | compose | sequence | parse | info | verify`.
 
 Exit codes: 0 done; 2 wrong input, bundle or target (one line on stderr says what); 130 interrupted.
 """
@@ -12,10 +12,11 @@ import sys
 import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
 from kinegraph import __version__
-from kinegraph.cli_input import captions, concepts, input_graph, level_numbers, level_steps
+from kinegraph.cli_arguments import add_bundle, add_compose, add_generate, add_parse, add_sequence
+from kinegraph.cli_input import captions, check_only_jsonl, concepts, edited, input_graph, take_files
 from kinegraph.cli_output import Progress, as_json, info_record, info_text, one_line, verify_text
 from kinegraph.errors import Cancelled, KinegraphError
 
@@ -58,145 +59,109 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("--version", action="version", version=f"kinegraph {__version__}")
     verbs = parser.add_subparsers(title="commands", required=True, metavar="COMMAND")
-    _add_generate(verbs.add_parser("generate", help="make a clip from a sentence or a graph"))
-    _add_compose(verbs.add_parser("compose", help="make a clip of several motions at once, or without some"))
-    _add_parse(verbs.add_parser("parse", help="print the semantic graph of a sentence as JSON"))
-    _add_info(verbs.add_parser("info", help="what a bundle is: licences, provenance, sizes, quality"))
-    _add_verify(verbs.add_parser("verify", help="check every file, operator and session of a bundle"))
+    for name, text, arguments, run in (
+        ("generate", "make a clip from a sentence or a graph", add_generate, _generate),
+        ("compose", "make a clip of several motions at once, or without some", add_compose, _compose),
+        ("sequence", "make a clip of several sentences, one after another", add_sequence, _sequence),
+        ("parse", "print or draw the semantic graph of a sentence", add_parse, _parse),
+        ("info", "what a bundle is: what it can do, licences, provenance, sizes, quality", add_bundle, _info),
+        ("verify", "check every file, operator and session of a bundle", add_bundle, _verify),
+    ):
+        verb = verbs.add_parser(name, help=text)
+        arguments(verb)
+        verb.set_defaults(run=run)
     return parser
 
 
-def _add_bundle(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--bundle", type=Path, metavar="DIR", help="a bundle's folder; default: the built-in one")
-    parser.add_argument("--json", action="store_true", help="print one JSON object on one line")
-
-
-def _add_generate(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("text", nargs="?", help="the sentence, e.g. 'a person walks forward and waves'")
-    parser.add_argument("--graph", metavar="FILE", help="a graph in JSON instead of the text; - is stdin")
-    _add_sampling(parser)
-    parser.set_defaults(run=_generate)
-
-
-def _add_compose(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        "--and",
-        dest="wanted",
-        action="append",
-        default=[],
-        metavar="TEXT[:WEIGHT]",
-        help="a motion that should happen; several times for several",
-    )
-    parser.add_argument(
-        "--not",
-        dest="unwanted",
-        action="append",
-        default=[],
-        metavar="TEXT[:WEIGHT]",
-        help="a motion that should not; weight 0.5 unless told",
-    )
-    parser.add_argument("--method", default="fused", help="latent, semantic or fused (default)")
-    parser.add_argument("--text", help="the joint sentence of fused; default: the wanted ones joined with 'while'")
-    parser.add_argument(
-        "--lambdas", type=level_numbers, metavar="L,S,M", help="shares of latent, semantic and joint text in fused"
-    )
-    _add_sampling(parser)
-    parser.set_defaults(run=_compose)
-
-
-def _add_sampling(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        "-o",
-        "--output",
-        type=Path,
-        required=True,
-        metavar="FILE",
-        help="the suffix says the format: .npz, .bvh, .png",
-    )
-    parser.add_argument("--seconds", type=float, metavar="S", help="length; without it the sentence decides")
-    parser.add_argument("--seed", type=int, help="the same seed gives the same clip; default: a new one")
-    parser.add_argument(
-        "--steps", type=level_steps, metavar="N[,N,N]", help="diffusion steps: one number, or one per level"
-    )
-    parser.add_argument(
-        "--guidance", type=level_numbers, metavar="X[,X,X]", help="guidance scale: one, or one per level"
-    )
-    parser.add_argument("--threads", type=int, metavar="N", help="threads a model may use")
-    parser.add_argument("--force", action="store_true", help="overwrite the file if it is there")
-    parser.add_argument("--progress", action="store_true", help="show progress even if stderr is no terminal")
-    parser.add_argument("--quiet", action="store_true", help="print nothing but errors")
-    _add_bundle(parser)
-
-
-def _add_parse(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("text", nargs="?", help="the sentence")
-    parser.add_argument(
-        "--jsonl",
-        type=Path,
-        metavar="FILE",
-        help='many: a caption or {"caption": "..."} on each line; prints one object on each line',
-    )
-    _add_bundle(parser)
-    parser.set_defaults(run=_parse)
-
-
-def _add_info(parser: argparse.ArgumentParser) -> None:
-    _add_bundle(parser)
-    parser.set_defaults(run=_info)
-
-
-def _add_verify(parser: argparse.ArgumentParser) -> None:
-    _add_bundle(parser)
-    parser.set_defaults(run=_verify)
-
-
 def _generate(options: argparse.Namespace) -> int:
-    _check_target(options)
+    targets = _targets(options)
     wish = input_graph(options.text, options.graph)
-    return _make(options, lambda pipeline, **wishes: pipeline.generate(wish, **wishes))
+
+    def make(pipeline: MotionPipeline, **wishes: Any) -> list[Clip]:
+        graph = pipeline.parse(wish) if isinstance(wish, str) else wish
+        graph = edited(graph, options.edits)
+        if all(node.weight == 1 for node in graph.nodes):
+            return pipeline.takes(graph, len(targets), **wishes)
+        return _one_by_one(pipeline.generate, graph, len(targets), wishes)
+
+    return _make(options, targets, make)
 
 
 def _compose(options: argparse.Namespace) -> int:
-    _check_target(options)
+    targets = _targets(options)
     found = concepts(options.wanted, options.unwanted)
     own = {"method": options.method, "text": options.text, "lambdas": options.lambdas}
-    return _make(options, lambda pipeline, **wishes: pipeline.compose(found, **own, **wishes))
+    return _make(
+        options, targets, lambda pipeline, **wishes: _one_by_one(pipeline.compose, found, len(targets), own | wishes)
+    )
 
 
-def _check_target(options: argparse.Namespace) -> None:
-    """The cheapest check first, and nothing is computed for a file that cannot be written."""
+def _sequence(options: argparse.Namespace) -> int:
+    targets = _targets(options)
+    return _make(
+        options,
+        targets,
+        lambda pipeline, **wishes: _one_by_one(pipeline.sequence, options.texts, len(targets), wishes),
+    )
+
+
+def _one_by_one(make: Callable[..., Clip], wish: object, count: int, wishes: dict[str, Any]) -> list[Clip]:
+    """Takes that cannot share a run; their seeds follow one another all the same."""
+    clips = [make(wish, **wishes)]
+    return clips + [make(wish, **wishes | {"seed": clips[0].seed + take}) for take in range(1, count)]
+
+
+def _targets(options: argparse.Namespace) -> list[Path]:
+    """Files to write. The cheapest check first, and nothing is computed for a file that cannot be written."""
+    from kinegraph.formats import check_names
     from kinegraph.motion.clip import check_target
+    from kinegraph.motion.retiming import check_fps
 
-    check_target(options.output, options.force)
+    targets = take_files(options.output, options.takes)
+    check_names(options.output.suffix.lower(), options.names)
+    for target in targets:
+        check_target(target, options.force)
+    if options.fps is not None:
+        check_fps(options.fps)
+    return targets
 
 
-def _make(options: argparse.Namespace, make: Callable[..., Clip]) -> int:
+def _make(options: argparse.Namespace, targets: Sequence[Path], make: Callable[..., list[Clip]]) -> int:
     """Load, make, write, report."""
     start = time.perf_counter()
     pipeline = _load(options.bundle, options.threads)
     loaded = time.perf_counter()
     with Progress.on_stderr(quiet=options.quiet, forced=options.progress) as progress:
-        clip = make(
+        clips = make(
             pipeline,
             seconds=options.seconds,
             seed=options.seed,
             steps=options.steps,
             guidance=options.guidance,
+            foot_fix=options.foot_fix,
             on_step=progress.show,
         )
+    clips = [_finished(clip, options) for clip in clips]
     made = time.perf_counter()
-    clip.save(options.output, force=options.force)
-    record = {
-        "file": str(options.output),
-        "frames": len(clip.joints),
-        "seconds": len(clip.joints) / clip.fps,
-        "fps": clip.fps,
-        "seed": clip.seed,
-        "bundle": f"{pipeline.manifest.name} {pipeline.manifest.version}",
-        "load_ms": round(1000 * (loaded - start), 1),
-        "generate_ms": round(1000 * (made - loaded), 1),
-        "write_ms": round(1000 * (time.perf_counter() - made), 1),
-    }
+    for target, clip in zip(targets, clips, strict=True):
+        writing = time.perf_counter()
+        clip.save(target, force=options.force, names=options.names)
+        record = {
+            "file": str(target),
+            "frames": len(clip.joints),
+            "seconds": len(clip.joints) / clip.fps,
+            "fps": clip.fps,
+            "seed": clip.seed,
+            "bundle": f"{pipeline.manifest.name} {pipeline.manifest.version}",
+            "load_ms": round(1000 * (loaded - start), 1),
+            "generate_ms": round(1000 * (made - loaded), 1),
+            "write_ms": round(1000 * (time.perf_counter() - writing), 1),
+        }
+        _report(record, options)
+    return 0
+
+
+def _report(record: dict[str, Any], options: argparse.Namespace) -> None:
     if options.json:
         print(as_json(record))
     elif not options.quiet:
@@ -204,21 +169,45 @@ def _make(options: argparse.Namespace, make: Callable[..., Clip]) -> int:
             f"{record['file']}: {record['frames']} frames, {record['seconds']:g} s, seed {record['seed']}; "
             f"{record['generate_ms']:.0f} ms after {record['load_ms']:.0f} ms of loading"
         )
-    return 0
+
+
+def _finished(clip: Clip, options: argparse.Namespace) -> Clip:
+    """As the file wants it: loop and travel first, the frame rate last."""
+    clip = clip.looped() if options.loop else clip
+    clip = clip.in_place() if options.in_place else clip
+    return clip if options.fps is None else clip.resampled(options.fps)
 
 
 def _parse(options: argparse.Namespace) -> int:
-    lines = captions(options.text, options.jsonl)
+    if options.jsonl is None:
+        return _parse_one(options)
+    check_only_jsonl(options)
+    lines = captions(options.jsonl)
     pipeline = _load(options.bundle, None)
     for place, caption in lines:
         try:
             graph = pipeline.parse(caption)
         except KinegraphError as error:
-            if place:
-                # The type stays: only the message grows by the place.
-                raise type(error)(f"{place}: {error}") from error
-            raise
-        print(as_json(graph.to_dict(), pretty=not (options.json or options.jsonl)))
+            # The type stays: only the message grows by the place.
+            raise type(error)(f"{place}: {error}") from error
+        print(as_json(graph.to_dict()))
+    return 0
+
+
+def _parse_one(options: argparse.Namespace) -> int:
+    from kinegraph.formats.atomic import check_target, write_atomically
+
+    if options.svg is not None:
+        check_target(options.svg, options.force, (".svg",))
+    wish = input_graph(options.text, options.graph)
+    graph = edited(_load(options.bundle, None).parse(wish) if isinstance(wish, str) else wish, options.edits)
+    if options.svg is None:
+        print(as_json(graph.to_dict(), pretty=not options.json))
+    else:
+        from kinegraph.formats.graph_svg import graph_svg
+
+        write_atomically(options.svg, graph_svg(graph).encode())
+        print(as_json({"file": str(options.svg)}) if options.json else options.svg)
     return 0
 
 

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from kinegraph.errors import InvalidInputError, KinegraphError
+from kinegraph.limits import MAX_TAKES
 
 if TYPE_CHECKING:
     from kinegraph.concepts import Concept
@@ -80,16 +81,79 @@ def input_graph(text: str | None, graph: str | None) -> str | SemanticGraph:
         raise type(error)(f"{'stdin' if graph == '-' else graph}: {error}") from error
 
 
-def captions(text: str | None, jsonl: Path | None) -> list[tuple[str, str]]:
-    """What to parse, each with its place for messages ("captions.jsonl, line 3"; empty for a sentence).
+def edited(graph: SemanticGraph, edits: Sequence[tuple[str, str]]) -> SemanticGraph:
+    """A graph after `--weight`, `--drop`, `--mask` and `--replace`, in the order typed.
 
     Raises:
-        InvalidInputError: neither or both are given, the file cannot be read, or a line holds no caption.
+        InvalidInputError: an edit that lacks its value.
+        InvalidGraphError: a node that is not there, or a graph that cannot be.
     """
-    if (text is None) == (jsonl is None):
-        raise InvalidInputError("give either a sentence or --jsonl FILE")
-    if jsonl is None:
-        return [("", text or "")]
+    from kinegraph.edits import masked, replaced, with_weight, without
+
+    for name, text in edits:
+        if name in ("--drop", "--mask"):
+            graph = (without if name == "--drop" else masked)(graph, _node(text))
+            continue
+        node, equals, value = text.rpartition("=")
+        if not equals:
+            raise InvalidInputError(f"{name} {text!r}: write the part of the sentence, =, and its new value")
+        if name == "--replace":
+            graph = replaced(graph, _node(node), value)
+            continue
+        graph = with_weight(graph, _node(node), _number(value, f"{name} {text!r}"))
+    return graph
+
+
+def _number(text: str, where: str) -> float:
+    try:
+        return float(text)
+    except ValueError:
+        raise InvalidInputError(f"{where}: {text!r} is no number") from None
+
+
+def take_files(output: Path, takes: int) -> list[Path]:
+    """The file, or for several takes `walk_1.bvh`, `walk_2.bvh` ...
+
+    Raises:
+        InvalidInputError: not 1 to `limits.MAX_TAKES`.
+    """
+    if not 1 <= takes <= MAX_TAKES:
+        raise InvalidInputError(f"takes must be a whole number from 1 to {MAX_TAKES}, not {takes}")
+    if takes == 1:
+        return [output]
+    digits = len(str(takes))
+    return [output.with_name(f"{output.stem}_{take:0{digits}}{output.suffix}") for take in range(1, takes + 1)]
+
+
+def named(name: str, text: str) -> tuple[str, str]:
+    """An edit as it was typed: its flag and its value."""
+    return name, text
+
+
+def _node(text: str) -> str | int:
+    """A node's text, or its number."""
+    return int(text) if text.isascii() and text.strip().isdigit() else text
+
+
+def check_only_jsonl(options: argparse.Namespace) -> None:
+    """Many captions take no edit, and no picture.
+
+    Raises:
+        InvalidInputError: a sentence, a graph, an edit or a picture is asked for beside `--jsonl`.
+    """
+    for name, value in (("a sentence", options.text), ("--graph", options.graph), ("--svg", options.svg)):
+        if value is not None:
+            raise InvalidInputError(f"give either --jsonl FILE or {name}")
+    if options.edits:
+        raise InvalidInputError(f"{options.edits[0][0]} edits one sentence; leave it or --jsonl out")
+
+
+def captions(jsonl: Path) -> list[tuple[str, str]]:
+    """Captions of a file, each with its place for messages ("captions.jsonl, line 3").
+
+    Raises:
+        InvalidInputError: the file cannot be read, or a line holds no caption.
+    """
     # Not splitlines(): that would also break captions at characters like U+2028.
     lines = _read_text(jsonl, MAX_CAPTIONS_BYTES).replace("\r\n", "\n").removesuffix("\n").split("\n")
     places = [f"{jsonl}, line {number}" for number in range(1, len(lines) + 1)]

@@ -72,6 +72,7 @@ def info_record(bundle: Bundle) -> dict[str, Any]:
         "precision": manifest["precision"],
         "licence": manifest["licence"],
         "provenance": manifest["provenance"],
+        "scope": manifest["scope"],
         "seconds": list(bundle.manifest.seconds_limits),
         "fps": manifest["fps"],
         "features": {"layout": features["layout"], "heading": features["heading"]},
@@ -100,6 +101,7 @@ def info_text(record: Mapping[str, Any]) -> str:
             f"  {name:<9} {level['tokens']} tokens, {level['layers']} layers of width {level['width']}, "
             f"{defaults['steps'][name]} steps, guidance {defaults['guidance'][name]:g}"
         )
+    lines += _section("what it can do, and what it cannot", record["scope"])
     lines += _section("licences", record["licence"])
     lines += _section("provenance", record["provenance"])
     lines += _section("training", record["training"])

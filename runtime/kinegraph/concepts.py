@@ -14,8 +14,10 @@ from kinegraph.limits import MAX_CONCEPTS
 from kinegraph.text.parser import check_caption
 
 METHODS: Final = ("latent", "semantic", "fused")
-DEFAULT_LAMBDAS: Final = (0.1, 0.7, 0.2)
-"""Latent-aware, semantic-aware, joint text (EnergyMoGen, section 4.1)."""
+DEFAULT_LAMBDAS: Final = (0.1, 0.3, 0.6)
+"""Latent-aware, semantic-aware, joint text. EnergyMoGen (section 4.1) has 0.1, 0.7, 0.2; on 12 pairs that training
+never joined both actions happen in 84 % of clips with these, in 49 % with those (`benchmarks/composition_settings.py`).
+"""
 NEGATED: Final = -0.5
 """Default weight of what must not happen; -1 leaves the motions the model knows."""
 MAX_WEIGHT: Final = 10.0

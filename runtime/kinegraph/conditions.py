@@ -169,6 +169,11 @@ def without_anything(batch: Conditions) -> Conditions:
     return replace(without_text(batch), coarse_bias=np.full_like(batch.coarse_bias, PADDING_BIAS))
 
 
+def repeated(batch: Conditions, count: int) -> Conditions:
+    """Every row `count` times."""
+    return Conditions(*(np.repeat(part, count, axis=0) for part in vars(batch).values()))
+
+
 def stacked(first: Conditions, second: Conditions) -> Conditions:
     """Rows of `first`, then rows of `second`, of equal N."""
     parts = zip(vars(first).values(), vars(second).values(), strict=True)

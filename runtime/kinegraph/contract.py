@@ -2,7 +2,7 @@
 
 Axes are numbers where the size is fixed by the bundle and names where it is free:
 
-    B samples     R latent rows     A attention rows     T text tokens     N graph nodes
+    B samples     R latent rows     A attention rows     T text tokens     N graph nodes     K diffusion steps
     S context tokens (node tokens first, then the coarser latent's)     L frames
 
 Rows of a step are predictions (unconditional, a concept, ...); attention row `a` lets latent row `src[a]`
@@ -25,6 +25,9 @@ NODE_KINDS: Final[tuple[str, ...]] = ("motion", "action", "specific")
 
 NULL_KIND: Final = 3
 """`kind` of the learned null token of unconditional rows: its node features are ignored."""
+
+MODULATIONS: Final = 6
+"""Per layer of a denoiser: scale and shift before self-attention, before cross-attention and before feed-forward."""
 
 FLOAT: Final = "float32"
 INT: Final = "int64"
@@ -58,12 +61,17 @@ class LevelSpec:
     latent_width: int
     """Channels z of one latent token."""
     width: int
-    """Model width d, also that of the time and length tables."""
+    """Model width d."""
     heads: int
     layers: int
     """Layers with cross-attention: each has one key and one value."""
     nodes: tuple[str, ...]
     """Kinds of graph nodes the level attends to, out of `NODE_KINDS`."""
+
+    @property
+    def modulations(self) -> int:
+        """Rows of `modulation`: scales and shifts of all layers."""
+        return MODULATIONS * self.layers
 
 
 @dataclass(frozen=True)
@@ -136,6 +144,13 @@ def context(name: str, level: LevelSpec, text_width: int, coarse: LevelSpec | No
     return GraphContract(f"context_{name}", inputs, _keys_values(level, "B"))
 
 
+def clock(name: str, level: LevelSpec) -> GraphContract:
+    """Scale and shift of every normalisation of one level, for all diffusion steps and lengths of a run at once."""
+    inputs = (TensorSpec("timestep", ("K",), INT), TensorSpec("frames", ("B",), INT))
+    outputs = (TensorSpec("modulation", ("K", "B", level.modulations, level.width)),)
+    return GraphContract(f"clock_{name}", inputs, outputs)
+
+
 def step(name: str, level: LevelSpec) -> GraphContract:
     """The noise in R latent rows, one diffusion step.
 
@@ -144,7 +159,7 @@ def step(name: str, level: LevelSpec) -> GraphContract:
     latent = ("R", level.tokens, level.latent_width)
     inputs = (
         TensorSpec("latent", latent),
-        TensorSpec("temb", ("R", 1, level.width)),
+        TensorSpec("modulation", ("R", level.modulations, level.width)),
         *_keys_values(level, "A"),
         TensorSpec("src", ("A",), INT),
         TensorSpec("combine", ("R", "A")),
@@ -176,7 +191,8 @@ def contracts(levels: Mapping[str, LevelSpec], text_width: int, features: int) -
     graphs = [text_encoder(text_width), graph_encoder(text_width)]
     coarse: LevelSpec | None = None
     for name in LEVELS:
-        graphs += [context(name, levels[name], text_width, coarse), step(name, levels[name])]
+        own = levels[name]
+        graphs += [context(name, own, text_width, coarse), clock(name, own), step(name, own)]
         coarse = levels[name]
     graphs.append(decoder(levels[LEVELS[-1]], features))
     return {graph.name: graph for graph in graphs}
@@ -185,7 +201,7 @@ def contracts(levels: Mapping[str, LevelSpec], text_width: int, features: int) -
 GRAPHS: Final[tuple[str, ...]] = (
     "text_encoder",
     "graph_encoder",
-    *(f"{part}_{level}" for level in LEVELS for part in ("context", "step")),
+    *(f"{part}_{level}" for level in LEVELS for part in ("context", "clock", "step")),
     "decoder",
 )
 """Names of all graphs of a bundle, in the order of running."""

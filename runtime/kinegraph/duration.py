@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from kinegraph.conditions import ACTION, GraphArrays
+from kinegraph.manifest import Manifest
+from kinegraph.options import GenerateOptions
 
 FloatArray = NDArray[np.float32]
 
@@ -33,3 +36,13 @@ def expected_frames(weights: FloatArray, graphs: Sequence[GraphArrays], shortest
     logs = [float(weights[0].astype(np.float64) @ duration_inputs(graph)) for graph in graphs]
     # clipped before exp: a sentence unlike any other must not overflow
     return int(np.clip(round(np.exp(np.clip(max(logs), 0.0, 20.0))), shortest, longest))
+
+
+def with_own_length(
+    options: GenerateOptions, weights: FloatArray | None, manifest: Manifest, arrays: Sequence[GraphArrays]
+) -> GenerateOptions:
+    """The length that the longest of some sentences asks for; as it is, where the bundle cannot tell."""
+    if weights is None:
+        return options
+    frames = expected_frames(weights, arrays, manifest.frames.min, manifest.frames.max)
+    return replace(options, frames=frames, seconds=frames / manifest.fps)

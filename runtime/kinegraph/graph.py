@@ -1,5 +1,5 @@
 """The hierarchical semantic graph (GraphMotion, section 3.1): the caption (motion), its actions, their arguments
-(specifics), on twelve types of weighted edges."""
+(specifics), on twelve types of weighted edges. Edits are in `kinegraph.edits`."""
 
 from __future__ import annotations
 
@@ -82,6 +82,11 @@ class SemanticGraph:
     def node_count(self) -> int:
         """Motion node, actions and specifics."""
         return 1 + len(self.actions) + sum(len(action.arguments) for action in self.actions)
+
+    @property
+    def nodes(self) -> tuple[Action | Argument, ...]:
+        """All nodes but the motion node, in the order of the model: actions, then their arguments."""
+        return (*self.actions, *(part for action in self.actions for part in action.arguments))
 
     def to_dict(self) -> dict[str, Any]:
         """What `to_json` writes. An action's order is told only where it is not its place in the list."""

@@ -16,5 +16,11 @@ MAX_NODES: Final = 32
 MAX_FRAMES: Final = 196
 """Frames of one generated clip (HumanML3D's limit; 9.8 s at 20 frames per second)."""
 
+MAX_TAKES: Final = 64
+"""Clips of one run."""
+
+MAX_PARTS: Final = 32
+"""Sentences of one sequence."""
+
 MAX_CONCEPTS: Final = 8
 """Concepts of one composition."""

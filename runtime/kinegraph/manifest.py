@@ -85,6 +85,8 @@ class Defaults:
     """Diffusion steps per level."""
     guidance: Mapping[str, float]
     """Guidance scale per level."""
+    guidance_base: Literal["empty", "coarse"]
+    """What guidance leads away from: GraphMotion's "empty" set (Eq. A), or no text beside the "coarse"r latent."""
     seconds: float
 
 
@@ -104,6 +106,8 @@ class Manifest:
     licence: Licence
     provenance: Mapping[str, str]
     """Training data, sources and hashes of text encoder and parser, versions of the build tools."""
+    scope: Mapping[str, str]
+    """What the model can do and what it cannot, in words: actions, manners, and so on."""
     skeleton: SkeletonSpec
     fps: float
     frames: FrameSpec

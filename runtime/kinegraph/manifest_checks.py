@@ -15,7 +15,7 @@ from kinegraph.text.roles import ROLES
 if TYPE_CHECKING:
     from kinegraph.manifest import Defaults, FeatureSpec, FileSpec, FrameSpec, Manifest, ScheduleSpec
 
-FORMAT_VERSION: Final = 1
+FORMAT_VERSION: Final = 2
 
 GRAPH_FILES: Final[tuple[str, ...]] = tuple(f"{graph}.onnx" for graph in GRAPHS)
 REQUIRED_FILES: Final[frozenset[str]] = frozenset((*GRAPH_FILES, "tokenizer.json", "tables.npz"))
@@ -29,7 +29,7 @@ MAX_DIMS: Final[Mapping[str, int]] = {
     "heads": 256,
     "layers": 256,
 }
-"""Far above any model; contracts and tables are sized by these before a file is trusted."""
+"""Far above any model; contracts are sized by these before a file is trusted."""
 
 LAYOUT_WIDTHS: Final[Mapping[str, int]] = {"joints-137": 137, "humanml3d-263": 263}
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 
 import numpy as np
 import onnxruntime
@@ -17,14 +17,13 @@ RowNetwork = Callable[[FloatArray, int], FloatArray]
 """(latents (R, C, z), step number) -> noise (R, C, z)."""
 
 
-def time_embedding(
-    tables: Mapping[str, FloatArray], level: str, timesteps: NDArray[np.int64], frames: NDArray[np.int64]
+def modulations(
+    clock: onnxruntime.InferenceSession, timesteps: NDArray[np.int64], frames: NDArray[np.int64]
 ) -> FloatArray:
-    """Of every step and row: (steps, R, 1, d); frames: (R,)."""
-    embedded: FloatArray = (
-        tables[f"time_{level}"][timesteps][:, None, None, :] + tables[f"length_{level}"][frames][None, :, None, :]
-    )
-    return embedded
+    """Scales and shifts of every step and row: (K, R, m, d); timesteps (K,), frames (R,)."""
+    lengths, row = np.unique(frames, return_inverse=True)
+    found: FloatArray = clock.run(["modulation"], {"timestep": timesteps, "frames": lengths})[0]
+    return found[:, row]
 
 
 def row_network(
@@ -33,7 +32,7 @@ def row_network(
     known: Conditions,
     coarse: FloatArray | None,
     wiring: Wiring,
-    temb: FloatArray,
+    modulation: FloatArray,
 ) -> RowNetwork:
     """Noise predictions of R rows, for one level.
 
@@ -43,7 +42,7 @@ def row_network(
         known: K conditions.
         coarse: (K, C', z') latent of the level above for each of them.
         wiring: of contexts and rows.
-        temb: (steps, R, 1, d), see `time_embedding`.
+        modulation: (K, R, m, d), see `modulations`.
     """
     feeds = {"nodes": known.nodes, "kind": known.kind, "order": known.order}
     bias = known.bias
@@ -62,7 +61,7 @@ def row_network(
     }
 
     def predict(latents: FloatArray, number: int) -> FloatArray:
-        noise: FloatArray = step.run(["noise"], {"latent": latents, "temb": temb[number], **constant})[0]
+        noise: FloatArray = step.run(["noise"], {"latent": latents, "modulation": modulation[number], **constant})[0]
         return noise
 
     return predict

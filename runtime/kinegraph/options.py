@@ -5,13 +5,14 @@ from __future__ import annotations
 import math
 import secrets
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from numbers import Integral, Real
 from types import MappingProxyType
-from typing import Final, TypeVar
+from typing import Any, Final, TypeVar
 
 from kinegraph.contract import LEVELS
 from kinegraph.errors import InvalidInputError
+from kinegraph.limits import MAX_PARTS, MAX_TAKES
 from kinegraph.manifest import Manifest, ScheduleSpec
 
 MAX_GUIDANCE: Final = 20.0
@@ -36,6 +37,8 @@ class GenerateOptions:
     """Diffusion steps of each level."""
     guidance: Mapping[str, float]
     """Guidance scale of each level; 0 is the unconditional model, 1 is no guidance."""
+    foot_fix: bool = True
+    """Whether feet that stand are held where they stand."""
 
 
 def generate_options(
@@ -45,6 +48,7 @@ def generate_options(
     seed: int | None = None,
     steps: Steps | None = None,
     guidance: Guidance | None = None,
+    foot_fix: bool = True,
 ) -> GenerateOptions:
     """Check a call's wishes; None takes the bundle's default.
 
@@ -54,6 +58,7 @@ def generate_options(
         seed: 0 to 2**63 - 1; None draws one from the operating system, to be found in the result.
         steps: diffusion steps, see `Steps`.
         guidance: guidance scale, 0 to 20, see `Guidance`.
+        foot_fix: whether feet that stand are held where they stand.
 
     Raises:
         InvalidInputError: naming the option, its value and what is allowed.
@@ -69,7 +74,37 @@ def generate_options(
         seed=_seed(seed),
         steps=_per_level(steps, "steps", manifest.defaults.steps, checked_steps),
         guidance=_per_level(guidance, "guidance", manifest.defaults.guidance, _guidance),
+        foot_fix=_flag(foot_fix, "foot_fix"),
     )
+
+
+def with_seeds(options: GenerateOptions, count: object) -> list[GenerateOptions]:
+    """The same wishes for several takes, whose seeds follow one another.
+
+    Raises:
+        InvalidInputError: not 1 to `limits.MAX_TAKES`, or seeds that end beyond the largest.
+    """
+    number = _whole(count)
+    if number is None or not 1 <= number <= MAX_TAKES:
+        raise InvalidInputError(f"takes must be a whole number from 1 to {MAX_TAKES}, not {_shown(count)}")
+    return [replace(options, seed=_seed(options.seed + take)) for take in range(number)]
+
+
+def part_lengths(texts: object, seconds: object) -> list[Any]:
+    """The length of every part of a sequence; None where its sentence decides.
+
+    Raises:
+        InvalidInputError: no list of 1 to `limits.MAX_PARTS` sentences, or lengths that are not as many.
+    """
+    if isinstance(texts, str) or not isinstance(texts, Sequence):
+        raise InvalidInputError("a sequence takes a list of sentences")
+    if not 1 <= len(texts) <= MAX_PARTS:
+        raise InvalidInputError(f"a sequence has 1 to {MAX_PARTS} sentences, not {len(texts)}")
+    if not isinstance(seconds, list | tuple):
+        return [seconds] * len(texts)
+    if len(seconds) != len(texts):
+        raise InvalidInputError(f"seconds has {len(seconds)} lengths for {len(texts)} sentences")
+    return list(seconds)
 
 
 def frame_count(manifest: Manifest, seconds: float) -> int:
@@ -140,6 +175,12 @@ def _per_level(
             for level in LEVELS
         }
     )
+
+
+def _flag(value: object, name: str) -> bool:
+    if not isinstance(value, bool):
+        raise InvalidInputError(f"{name} must be True or False, not {_shown(value)}")
+    return value
 
 
 def _whole(value: object) -> int | None:

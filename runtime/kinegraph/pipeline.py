@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import onnxruntime
@@ -15,29 +16,19 @@ from numpy.typing import NDArray
 
 from kinegraph.bundle import read_bundle
 from kinegraph.concepts import Concept, checked_concepts, checked_lambdas, joint_caption
-from kinegraph.conditions import (
-    Conditions,
-    GraphArrays,
-    conditions,
-    for_level,
-    graph_arrays,
-    padded,
-    stacked,
-    without_anything,
-    without_text,
-)
-from kinegraph.contract import LEVELS
+from kinegraph.conditions import Conditions, GraphArrays, conditions, graph_arrays, padded, repeated
 from kinegraph.decoding import decode, finite
-from kinegraph.diffusion.composition import Composition, Wiring, composition, mixed
-from kinegraph.diffusion.ddim import DdimCoefficients
-from kinegraph.diffusion.guidance import guided
-from kinegraph.diffusion.sampler import LevelPlan, OnStep, Predict, PredictorFor, coarse_to_fine, initial_noise
-from kinegraph.duration import expected_frames
+from kinegraph.denoisers import Denoisers
+from kinegraph.diffusion.sampler import OnStep
+from kinegraph.duration import with_own_length
+from kinegraph.edits import edge_terms
+from kinegraph.errors import InvalidInputError
 from kinegraph.graph import SemanticGraph
 from kinegraph.manifest import Manifest
 from kinegraph.motion.clip import Clip
-from kinegraph.network import RowNetwork, row_network, time_embedding
-from kinegraph.options import GenerateOptions, Guidance, Steps, generate_options
+from kinegraph.motion.feet import planted_feet
+from kinegraph.motion.joining import joined
+from kinegraph.options import GenerateOptions, Guidance, Steps, generate_options, part_lengths, with_seeds
 from kinegraph.sessions import Sessions, open_sessions
 from kinegraph.tables import DURATION, bones_of
 from kinegraph.text.parser import LazyParser, check_caption
@@ -107,16 +98,18 @@ class MotionPipeline:
         seed: int | None = None,
         steps: Steps | None = None,
         guidance: Guidance | None = None,
+        foot_fix: bool = True,
         on_step: OnStep | None = None,
     ) -> Clip:
         """A clip for a sentence or a graph. The same arguments give the same clip, bit for bit.
 
         Args:
-            text: a sentence, or its graph.
+            text: a sentence, or its graph; weights of its edges count as `edits.edge_terms` says.
             seconds: length; None lets the sentence decide, as far as the bundle knows how long such motions take.
             seed: of the noise, 0 to 2**63 - 1; None draws one, to be found in the clip.
             steps: diffusion steps, one number or one per level.
             guidance: how strictly the text is followed, one number or one per level.
+            foot_fix: hold feet that stand where they stand (`motion.feet`).
             on_step: called after every step with a `StepInfo`; returning False stops with `Cancelled`.
 
         Raises:
@@ -124,14 +117,94 @@ class MotionPipeline:
             Cancelled: `on_step` returned False.
             NonFiniteError: a model produced NaN or infinity.
         """
-        options = generate_options(self.manifest, seconds=seconds, seed=seed, steps=steps, guidance=guidance)
+        options = generate_options(
+            self.manifest, seconds=seconds, seed=seed, steps=steps, guidance=guidance, foot_fix=foot_fix
+        )
         graph = text if isinstance(text, SemanticGraph) else self.parse(text)
+        terms = edge_terms(graph)
+        arrays = [self._arrays(each) for each, _ in terms]
+        if seconds is None:
+            options = with_own_length(options, self._tables.get(DURATION), self.manifest, arrays[:1])
+        encoded, weights = self._encode(arrays), [weight for _, weight in terms]
+        denoisers = Denoisers(self._sessions, self.manifest)
+        if weights == [1.0]:
+            latent = denoisers.guided(encoded, [options], on_step)
+        else:
+            latent = denoisers.composed(encoded, weights, [], (1.0, 0.0, 0.0), options, on_step)
+        return self._clips(latent, [options], [graph.caption])[0]
+
+    def takes(
+        self,
+        text: str | SemanticGraph,
+        count: int,
+        *,
+        seconds: float | None = None,
+        seed: int | None = None,
+        steps: Steps | None = None,
+        guidance: Guidance | None = None,
+        foot_fix: bool = True,
+        on_step: OnStep | None = None,
+    ) -> list[Clip]:
+        """Several clips for one sentence, which share the runs of the models.
+
+        Take k is what `generate` makes of seed + k, to 0.1 mm: sums of a larger run are rounded in another order.
+
+        Args:
+            text: a sentence, or its graph; as it was parsed, without weights on its edges.
+            count: 1 to `limits.MAX_TAKES`.
+            seconds, seed, steps, guidance, foot_fix, on_step: as in `generate`.
+
+        Raises:
+            InvalidInputError: as in `generate`, a wrong count, or a graph with weights.
+            Cancelled, NonFiniteError: as in `generate`.
+        """
+        options = generate_options(
+            self.manifest, seconds=seconds, seed=seed, steps=steps, guidance=guidance, foot_fix=foot_fix
+        )
+        wishes = with_seeds(options, count)
+        graph = text if isinstance(text, SemanticGraph) else self.parse(text)
+        if any(node.weight != 1 for node in graph.nodes):
+            raise InvalidInputError("takes share one run, which cannot weigh edges; make weighted clips one by one")
         arrays = [self._arrays(graph)]
         if seconds is None:
-            options = self._with_own_length(options, arrays)
-        encoded = self._encode(arrays)
-        latent = self._sample(encoded, [options], on_step)
-        return self._clip(latent, options, graph.caption)
+            length = with_own_length(options, self._tables.get(DURATION), self.manifest, arrays)
+            wishes = [replace(each, frames=length.frames, seconds=length.seconds) for each in wishes]
+        encoded = repeated(self._encode(arrays), count)
+        latent = Denoisers(self._sessions, self.manifest).guided(encoded, wishes, on_step)
+        return self._clips(latent, wishes, [graph.caption] * count)
+
+    def sequence(
+        self,
+        texts: Sequence[str | SemanticGraph],
+        *,
+        seconds: float | Sequence[float] | None = None,
+        seed: int | None = None,
+        steps: Steps | None = None,
+        guidance: Guidance | None = None,
+        foot_fix: bool = True,
+        on_step: OnStep | None = None,
+    ) -> Clip:
+        """One clip of several sentences, one after another, joined where poses are alike (`motion.joining`).
+
+        Args:
+            texts: 1 to 32 sentences or graphs; sentence k is generated with seed + k.
+            seconds: of each part, before the joins: one length, one per sentence, or None for what each asks for.
+            seed, steps, guidance, foot_fix, on_step: as in `generate`.
+
+        Raises:
+            InvalidInputError, Cancelled, NonFiniteError: as in `generate`.
+        """
+        lengths = part_lengths(texts, seconds)
+        wishes: dict[str, Any] = {"steps": steps, "guidance": guidance, "foot_fix": foot_fix}
+        options = [generate_options(self.manifest, seconds=length, seed=seed, **wishes) for length in lengths]
+        graphs = [text if isinstance(text, SemanticGraph) else self.parse(text) for text in texts]
+        first = options[0].seed
+        clips = [
+            self.generate(graph, seconds=length, seed=first + place, on_step=on_step, **wishes)
+            for place, (graph, length) in enumerate(zip(graphs, lengths, strict=True))
+        ]
+        joints = joined([clip.joints for clip in clips], self.manifest.fps)
+        return replace(clips[0], joints=joints, text=", then ".join(clip.text for clip in clips))
 
     def compose(
         self,
@@ -144,6 +217,7 @@ class MotionPipeline:
         seed: int | None = None,
         steps: Steps | None = None,
         guidance: Guidance | None = None,
+        foot_fix: bool = True,
         on_step: OnStep | None = None,
     ) -> Clip:
         """A clip in which several motions happen at once, or do not (EnergyMoGen, Eq. 7-10).
@@ -153,8 +227,8 @@ class MotionPipeline:
             method: "latent" adds predictions (Eq. 7, 8), "semantic" mixes attention (Eq. 9), "fused" blends both
                 with the joint text (Eq. 10).
             text: the joint text of "fused"; None joins the positive concepts with "while".
-            lambdas: of "fused": shares of latent, semantic and joint text; default (0.1, 0.7, 0.2).
-            seconds, seed, steps, guidance, on_step: as in `generate`.
+            lambdas: of "fused": shares of latent, semantic and joint text; default (0.1, 0.3, 0.6).
+            seconds, seed, steps, guidance, foot_fix, on_step: as in `generate`.
 
         Raises:
             InvalidInputError: a concept, weight or option is outside what can be composed; nothing has been run.
@@ -162,39 +236,34 @@ class MotionPipeline:
         """
         found = checked_concepts(concepts)
         shares = checked_lambdas(method, lambdas, text, found)
-        options = generate_options(self.manifest, seconds=seconds, seed=seed, steps=steps, guidance=guidance)
+        options = generate_options(
+            self.manifest, seconds=seconds, seed=seed, steps=steps, guidance=guidance, foot_fix=foot_fix
+        )
         joint = joint_caption(found) if text is None else text
         wanted = [concept.text for concept in found] + ([joint] if shares[2] else [])
         graphs = [each if isinstance(each, SemanticGraph) else self.parse(each) for each in wanted]
-        arrays = [self._arrays(graph) for graph in graphs]
+        terms = [edge_terms(graph) for graph in graphs]
+        arrays = [[self._arrays(each) for each, _ in own] for own in terms]
         if seconds is None:
-            wanted_ones = [one for one, concept in zip(arrays, found, strict=False) if concept.weight > 0]
-            options = self._with_own_length(options, wanted_ones)
-        encoded = self._encode(arrays)
-        weights = [concept.weight for concept in found]
-
-        def predictor_for(number: int, times: DdimCoefficients, coarse: FloatArray | None) -> Predict:
-            name = LEVELS[number]
-            plan = composition(weights, shares, options.guidance[name], coarse=coarse is not None)
-            return self._composer(name, encoded, coarse, options.frames, times, plan)
-
-        latent = self._sampled([options], predictor_for, on_step)
+            wanted_ones = [own[0] for own, concept in zip(arrays, found, strict=False) if concept.weight > 0]
+            options = with_own_length(options, self._tables.get(DURATION), self.manifest, wanted_ones)
+        encoded = self._encode([each for own in arrays for each in own])
+        weights = [one.weight * part for one, own in zip(found, terms, strict=False) for _, part in own]
+        joint_weights = [part for own in terms[len(found) :] for _, part in own]
+        denoisers = Denoisers(self._sessions, self.manifest)
+        latent = denoisers.composed(encoded, weights, joint_weights, shares, options, on_step)
         caption = joint.caption if isinstance(joint, SemanticGraph) else joint
-        return self._clip(latent, options, caption)
+        return self._clips(latent, [options], [caption])[0]
 
-    def _with_own_length(self, options: GenerateOptions, arrays: Sequence[GraphArrays]) -> GenerateOptions:
-        """The length that the longest of some sentences asks for; as it is, where the bundle cannot tell."""
-        if DURATION not in self._tables:
-            return options
-        limits = self.manifest.frames
-        frames = expected_frames(self._tables[DURATION], arrays, limits.min, limits.max)
-        return replace(options, frames=frames, seconds=frames / self.manifest.fps)
-
-    def _clip(self, latent: FloatArray, options: GenerateOptions, text: str) -> Clip:
-        bones = bones_of(self._tables)
-        (joints,) = decode(self._sessions.decoder, self.manifest, bones, latent, [options.frames])
+    def _clips(self, latent: FloatArray, wishes: Sequence[GenerateOptions], captions: Sequence[str]) -> list[Clip]:
+        """Latents (B, C, z) of the finest level as B clips."""
+        frames, fps = [each.frames for each in wishes], self.manifest.fps
+        motions = decode(self._sessions.decoder, self.manifest, bones_of(self._tables), latent, frames)
         bundle = f"{self.manifest.name} {self.manifest.version}"
-        return Clip(joints=joints, fps=self.manifest.fps, seed=options.seed, text=text, bundle=bundle)
+        return [
+            Clip(planted_feet(joints, fps) if each.foot_fix else joints, fps, each.seed, caption, bundle)
+            for joints, each, caption in zip(motions, wishes, captions, strict=True)
+        ]
 
     def _arrays(self, graph: SemanticGraph) -> GraphArrays:
         tokens = self._tokenizer.encode(graph.caption)
@@ -206,77 +275,3 @@ class MotionPipeline:
         """Graph attention over a batch of graphs."""
         (nodes,) = self._sessions.graph_encoder.run(["nodes_out"], padded(arrays))
         return conditions(arrays, finite(nodes, "the graph encoder"))
-
-    def _sample(self, encoded: Conditions, options: Sequence[GenerateOptions], on_step: OnStep | None) -> FloatArray:
-        """Latents of the finest level, (B, C, z); all samples of a batch share steps and guidance."""
-        first = options[0]
-        frames = np.array([each.frames for each in options])
-
-        def predictor_for(number: int, times: DdimCoefficients, coarse: FloatArray | None) -> Predict:
-            name = LEVELS[number]
-            return self._predictor(name, encoded, coarse, frames, times, first.guidance[name])
-
-        return self._sampled(options, predictor_for, on_step)
-
-    def _sampled(
-        self, options: Sequence[GenerateOptions], predictor_for: PredictorFor, on_step: OnStep | None
-    ) -> FloatArray:
-        """All levels, each sample from the noise of its own seed."""
-        plans = [
-            LevelPlan(name, spec.tokens, spec.latent_width, options[0].steps[name])
-            for name, spec in ((name, self.manifest.levels[name]) for name in LEVELS)
-        ]
-        per_sample = [initial_noise(each.seed, plans) for each in options]
-        noises = [np.stack(level) for level in zip(*per_sample, strict=True)]
-        return coarse_to_fine(plans, noises, predictor_for, self.manifest.schedule.noise, on_step)[-1]
-
-    def _predictor(
-        self,
-        name: str,
-        encoded: Conditions,
-        coarse: FloatArray | None,
-        frames: NDArray[np.int64],
-        times: DdimCoefficients,
-        scale: float,
-    ) -> Predict:
-        """Guided noise prediction of one level: rows are the unconditional predictions of all samples, then theirs."""
-        seen = for_level(encoded, self.manifest.levels[name].nodes)
-        known = stacked(without_anything(seen), seen)
-        twice = None if coarse is None else np.concatenate([coarse, coarse])
-        network = self._network(name, known, twice, Wiring.straight(2 * len(frames)), np.tile(frames, 2), times)
-
-        def predict(latent: FloatArray, step: int) -> FloatArray:
-            unconditional, conditional = np.split(network(np.concatenate([latent, latent]), step), 2)
-            return guided(unconditional, conditional, scale)
-
-        return predict
-
-    def _composer(
-        self,
-        name: str,
-        encoded: Conditions,
-        coarse: FloatArray | None,
-        frames: int,
-        times: DdimCoefficients,
-        plan: Composition,
-    ) -> Predict:
-        """Composed noise prediction of one level, one run per step whatever the method."""
-        seen = for_level(encoded, self.manifest.levels[name].nodes)
-        first = Conditions(*(part[:1] for part in vars(seen).values()))
-        known = stacked(stacked(without_anything(first), without_text(first)), seen)
-        count, rows = len(known.kind), len(plan.mix)
-        shared = None if coarse is None else np.repeat(coarse, count, axis=0)
-        network = self._network(name, known, shared, plan.wiring, np.full(rows, frames), times)
-        return lambda latent, step: mixed(network(np.repeat(latent, rows, axis=0), step), plan.mix)
-
-    def _network(
-        self,
-        name: str,
-        known: Conditions,
-        coarse: FloatArray | None,
-        wiring: Wiring,
-        frames: NDArray[np.int64],
-        times: DdimCoefficients,
-    ) -> RowNetwork:
-        temb = time_embedding(self._tables, name, times.timesteps, frames)
-        return row_network(self._sessions.context[name], self._sessions.step[name], known, coarse, wiring, temb)

@@ -39,6 +39,8 @@ class Sessions:
     graph_encoder: onnxruntime.InferenceSession
     context: Mapping[str, onnxruntime.InferenceSession]
     """By level."""
+    clock: Mapping[str, onnxruntime.InferenceSession]
+    """By level."""
     step: Mapping[str, onnxruntime.InferenceSession]
     """By level."""
     decoder: onnxruntime.InferenceSession
@@ -54,7 +56,7 @@ def available_cpus() -> int:
 def session_options(threads: int) -> onnxruntime.SessionOptions:
     """Options of one session with a pool of `threads` that sleeps when there is nothing to do.
 
-    By default onnxruntime's idle pools spin; with nine sessions they take the cores from the busy one
+    By default onnxruntime's idle pools spin; with a session per graph they take the cores from the busy one
     (measured: three times slower on two cores, and half a core burnt between requests).
     """
     options = onnxruntime.SessionOptions()
@@ -97,6 +99,7 @@ def open_sessions(
         text_encoder=make("text_encoder", wide),
         graph_encoder=make("graph_encoder", wide),
         context=MappingProxyType({level: make(f"context_{level}", wide) for level in LEVELS}),
+        clock=MappingProxyType({level: make(f"clock_{level}", narrow) for level in LEVELS}),
         step=MappingProxyType({level: make(f"step_{level}", narrow) for level in LEVELS}),
         decoder=make("decoder", wide),
     )

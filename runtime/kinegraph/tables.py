@@ -1,5 +1,5 @@
-"""`tables.npz`: the embeddings of time and length, computed at export because no sample changes them. Where the bundle
-has them: the weights that tell a clip's length (`kinegraph.duration`), and the bones of the one body it knows.
+"""`tables.npz`: what a run measured on its clips. The weights that tell a clip's length (`kinegraph.duration`), and the
+bones of the one body the bundle knows; a bundle need not have either.
 """
 
 from __future__ import annotations
@@ -13,7 +13,6 @@ from typing import Final
 
 import numpy as np
 
-from kinegraph.contract import LEVELS
 from kinegraph.duration import EXTRA
 from kinegraph.errors import BundleFormatError
 from kinegraph.manifest import Manifest
@@ -22,22 +21,14 @@ from kinegraph.motion.skeleton import JOINTS, FloatArray
 FILE: Final = "tables.npz"
 DURATION: Final = "duration"
 BONE_LENGTHS: Final = "bone_lengths"
-OPTIONAL: Final = frozenset((DURATION, BONE_LENGTHS))
 
 _HEADER_BYTES: Final = 4096
 """More than any .npy header of a two-dimensional array."""
 
 
 def table_shapes(manifest: Manifest) -> dict[str, tuple[int, int]]:
-    """Name -> shape of every array that `tables.npz` may hold, all float32; those of `OPTIONAL` may be missing."""
-    shapes: dict[str, tuple[int, int]] = {}
-    for name in LEVELS:
-        width = manifest.levels[name].width
-        shapes[f"time_{name}"] = (manifest.schedule.train_steps, width)
-        shapes[f"length_{name}"] = (manifest.frames.max + 1, width)
-    shapes[DURATION] = (1, manifest.text.width + EXTRA)
-    shapes[BONE_LENGTHS] = (1, JOINTS - 1)
-    return shapes
+    """Name -> shape of every array that `tables.npz` may hold, all float32."""
+    return {DURATION: (1, manifest.text.width + EXTRA), BONE_LENGTHS: (1, JOINTS - 1)}
 
 
 def bones_of(tables: Mapping[str, FloatArray]) -> FloatArray | None:
@@ -49,10 +40,10 @@ def read_tables(data: bytes, manifest: Manifest) -> Mapping[str, FloatArray]:
     """Read the tables from memory, without pickle.
 
     Returns:
-        The arrays of `table_shapes`, read-only.
+        Those arrays of `table_shapes` that are there, read-only.
 
     Raises:
-        BundleFormatError: an array is missing, extra, of another shape or type, or not finite.
+        BundleFormatError: an array is unknown, of another shape or type, or not finite.
     """
     shapes = table_shapes(manifest)
     try:
@@ -69,9 +60,8 @@ def _check_members(data: bytes, shapes: Mapping[str, tuple[int, int]]) -> None:
     with zipfile.ZipFile(io.BytesIO(data)) as archive:
         found = {member.filename: member.file_size for member in archive.infolist()}
         count = len(archive.infolist())
-    expected = {f"{name}.npy" for name in shapes}
-    if set(found) | {f"{name}.npy" for name in OPTIONAL} != expected or count != len(found):
-        raise BundleFormatError(f"{FILE} must hold exactly {sorted(shapes)}, found {sorted(found)}")
+    if set(found) - {f"{name}.npy" for name in shapes} or count != len(found):
+        raise BundleFormatError(f"{FILE} may hold {sorted(shapes)}, once each, found {sorted(found)}")
     for name, (rows, width) in shapes.items():
         # Before unpacking: a small archive can unpack to any size.
         if found.get(f"{name}.npy", 0) > rows * width * 4 + _HEADER_BYTES:

@@ -122,3 +122,12 @@ def test_bone_error_is_in_millimetres() -> None:
     assert measures.bone_error(joints, lengths) == pytest.approx(0.0, abs=1e-4)
     joints[:, JOINT_INDEX["head"], 1] += 0.021
     assert 0.5 < measures.bone_error(joints, lengths) < 1.05
+
+
+def test_a_walkers_swinging_arms_are_no_wave() -> None:
+    joints = walk(60)
+    assert p.wrist_path(joints, "right") > 0.8
+    assert not any(p.swings_high(side)(joints) for side in ("left", "right", "both"))
+    joints[:, JOINT_INDEX["right_wrist"], 1] = 1.9 + 0.1 * np.sin(np.arange(60))
+    assert p.swings_high("right")(joints)
+    assert not p.swings_high("left")(joints) and not p.swings_high("both")(joints)

@@ -28,6 +28,7 @@ from kinegraph.manifest import (
     seal,
     to_json,
 )
+from kinegraph.manifest_checks import FORMAT_VERSION
 from kinegraph.motion.skeleton import JOINT_NAMES, PARENTS
 from kinegraph.text.roles import ROLES
 
@@ -90,12 +91,7 @@ def filler_model(contract: GraphContract) -> bytes:
 
 
 def tables_npz(**changes: np.ndarray) -> bytes:
-    generator = np.random.default_rng(5)
-    arrays: dict[str, np.ndarray] = {}
-    for name in LEVELS:
-        width = LEVEL_SPECS[name].width
-        arrays[f"time_{name}"] = generator.normal(size=(TRAIN_STEPS, width)).astype(np.float32)
-        arrays[f"length_{name}"] = generator.normal(size=(MAX_FRAMES + 1, width)).astype(np.float32)
+    arrays = {"bone_lengths": np.full((1, 21), 0.25, dtype=np.float32)}
     buffer = io.BytesIO()
     np.savez(buffer, **{**arrays, **changes})
     return buffer.getvalue()
@@ -114,11 +110,12 @@ def bundle_files() -> dict[str, bytes]:
 def manifest_for(files: Mapping[str, bytes]) -> Manifest:
     graphs = sorted(name for name in files if name.endswith(".onnx"))
     return Manifest(
-        format_version=1,
+        format_version=FORMAT_VERSION,
         name="synthetic",
         version="0.0.1",
         licence=Licence("Apache-2.0", "CC0-1.0", "none", "Apache-2.0", "MIT"),
         provenance={"training_data": "none", "built_with": "tests"},
+        scope={"actions": "none", "cannot": "move"},
         skeleton=SkeletonSpec(JOINT_NAMES, PARENTS),
         fps=20.0,
         frames=FrameSpec(8, MAX_FRAMES, 4),
@@ -126,7 +123,7 @@ def manifest_for(files: Mapping[str, bytes]) -> Manifest:
         text=TextSpec(TEXT_WIDTH, "[MASK]"),
         levels=LEVEL_SPECS,
         schedule=ScheduleSpec(TRAIN_STEPS, 8.5e-4, 0.012, 1, "leading", "epsilon"),
-        defaults=Defaults({"motion": 3, "action": 4, "specific": 5}, dict.fromkeys(LEVELS, 2.5), 1.0),
+        defaults=Defaults({"motion": 3, "action": 4, "specific": 5}, dict.fromkeys(LEVELS, 2.5), "coarse", 1.0),
         roles=ROLES,
         precision="fp32",
         files={name: describe_file(data) for name, data in sorted(files.items())},

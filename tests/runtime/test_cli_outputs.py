@@ -36,6 +36,7 @@ def test_info_tells_licences_and_provenance(capsys: pytest.CaptureFixture[str], 
         "MIT",
         "training_data",
         "jerk",
+        "what it cannot",
         "decoder.onnx",
     ):
         assert word in text
@@ -43,13 +44,14 @@ def test_info_tells_licences_and_provenance(capsys: pytest.CaptureFixture[str], 
     record = json.loads(capsys.readouterr().out)
     assert record["licence"]["weights"] == "CC0-1.0"
     assert record["provenance"] == {"training_data": "none", "built_with": "tests"}
+    assert record["scope"] == {"actions": "none", "cannot": "move"}
     assert record["bytes"] == {name: len(data) for name, data in bundle_files().items()}
 
 
 def test_verify_lists_every_file(capsys: pytest.CaptureFixture[str], bundle: Path) -> None:
     assert cli.main(["verify", "--bundle", str(bundle)]) == 0
     lines = capsys.readouterr().out.splitlines()
-    assert lines[-1] == "ok: 12 files, 9 graphs"
+    assert lines[-1] == "ok: 15 files, 12 graphs"
     for name in bundle_files():
         assert any(line.startswith(f"  ok  {name}: ") for line in lines)
     assert cli.main(["verify", "--json", "--bundle", str(bundle)]) == 0

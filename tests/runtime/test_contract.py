@@ -39,8 +39,9 @@ TABLE = {
         "key_0 f B,4,S,48 | value_0 f B,4,S,48 | key_1 f B,4,S,48 | value_1 f B,4,S,48"
         " | key_2 f B,4,S,48 | value_2 f B,4,S,48",
     ),
+    "clock_motion": ("timestep i K | frames i B", "modulation f K,B,18,192"),
     "step_motion": (
-        "latent f R,2,16 | temb f R,1,192 | key_0 f A,4,S,48 | value_0 f A,4,S,48 | key_1 f A,4,S,48"
+        "latent f R,2,16 | modulation f R,18,192 | key_0 f A,4,S,48 | value_0 f A,4,S,48 | key_1 f A,4,S,48"
         " | value_1 f A,4,S,48 | key_2 f A,4,S,48 | value_2 f A,4,S,48 | src i A | combine f R,A"
         " | bias f A,1,2,S",
         "noise f R,2,16",
@@ -49,8 +50,9 @@ TABLE = {
         "nodes f B,N,384 | kind i B,N | order i B,N | coarse f B,2,16",
         "key_0 f B,4,S,48 | value_0 f B,4,S,48 | key_1 f B,4,S,48 | value_1 f B,4,S,48",
     ),
+    "clock_action": ("timestep i K | frames i B", "modulation f K,B,12,192"),
     "step_action": (
-        "latent f R,4,16 | temb f R,1,192 | key_0 f A,4,S,48 | value_0 f A,4,S,48 | key_1 f A,4,S,48"
+        "latent f R,4,16 | modulation f R,12,192 | key_0 f A,4,S,48 | value_0 f A,4,S,48 | key_1 f A,4,S,48"
         " | value_1 f A,4,S,48 | src i A | combine f R,A | bias f A,1,4,S",
         "noise f R,4,16",
     ),
@@ -58,8 +60,9 @@ TABLE = {
         "nodes f B,N,384 | kind i B,N | order i B,N | coarse f B,4,16",
         "key_0 f B,6,S,32 | value_0 f B,6,S,32",
     ),
+    "clock_specific": ("timestep i K | frames i B", "modulation f K,B,6,192"),
     "step_specific": (
-        "latent f R,8,16 | temb f R,1,192 | key_0 f A,6,S,32 | value_0 f A,6,S,32 | src i A | combine f R,A"
+        "latent f R,8,16 | modulation f R,6,192 | key_0 f A,6,S,32 | value_0 f A,6,S,32 | src i A | combine f R,A"
         " | bias f A,1,8,S",
         "noise f R,8,16",
     ),

@@ -49,7 +49,7 @@ def leaf(path: tuple[Any, ...]) -> Any:
 
 
 ALL_PATHS = list(paths(GOOD))
-FREE_MAPS = {("provenance",), ("parity",), ("training",), ("quality",)}
+FREE_MAPS = {("provenance",), ("scope",), ("parity",), ("training",), ("quality",)}
 REQUIRED = [
     path
     for path in ALL_PATHS
@@ -142,7 +142,8 @@ def test_numbers_must_be_finite(token: str) -> None:
 
 
 BREAKS: list[tuple[tuple[Any, ...], object]] = [
-    (("format_version",), 2),
+    (("format_version",), 1),
+    (("format_version",), 3),
     (("format_version",), 0),
     (("skeleton", "joint_names"), GOOD["skeleton"]["joint_names"][:-1]),
     (("skeleton", "parents", 3), 1),
@@ -217,8 +218,8 @@ def test_a_name_with_nul_is_refused() -> None:
 
 
 def test_a_newer_format_says_so_before_its_new_keys_do() -> None:
-    with pytest.raises(BundleFormatError, match="format_version is 2"):
-        decode_manifest(sealed({**GOOD, "format_version": 2, "new_key": 1}))
+    with pytest.raises(BundleFormatError, match="format_version is 3"):
+        decode_manifest(sealed({**GOOD, "format_version": 3, "new_key": 1}))
 
 
 @pytest.mark.parametrize(

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import copy
 import json
 import os
 import subprocess
 import sys
 import threading
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -133,6 +135,42 @@ def test_the_guidance_matters_and_one_is_the_conditional_alone(pipe: MotionPipel
         pipe.generate("a person turns right", seconds=1, seed=5, steps=FEW, guidance=scale).joints for scale in (1, 4)
     )
     assert not np.allclose(strict, loose, atol=1e-4)
+
+
+def with_base(pipe: MotionPipeline, base: str) -> MotionPipeline:
+    """The same networks, and another answer to what guidance leads away from."""
+    other = copy.copy(pipe)
+    other.manifest = replace(pipe.manifest, defaults=replace(pipe.manifest.defaults, guidance_base=base))
+    return other
+
+
+def test_what_guidance_leads_away_from_cancels_at_scale_one(pipe: MotionPipeline) -> None:
+    bases = [with_base(pipe, base) for base in ("empty", "coarse")]
+    one, other = (
+        each.generate("a person turns right", seconds=1, seed=5, steps=FEW, guidance=1).joints for each in bases
+    )
+    np.testing.assert_allclose(one, other, atol=1e-4)
+    one, other = (
+        each.generate("a person turns right", seconds=1, seed=5, steps=FEW, guidance=3).joints for each in bases
+    )
+    assert not np.allclose(one, other, atol=1e-4)
+
+
+@pytest.mark.parametrize("base", ["empty", "coarse"])
+def test_a_single_concept_is_plain_guidance_whatever_it_leads_away_from(pipe: MotionPipeline, base: str) -> None:
+    own, text = with_base(pipe, base), "a person turns right"
+    plain = own.generate(text, seconds=1, seed=5, steps=FEW, guidance=3).joints
+    composed = own.compose([text], seconds=1, seed=5, steps=FEW, guidance=3).joints
+    np.testing.assert_allclose(composed, plain, atol=1e-4)
+
+
+def test_without_seconds_the_sentence_decides(pipe: MotionPipeline) -> None:
+    short, long = (
+        pipe.generate(text, seed=1, steps=FEW).frames / 20
+        for text in ("a person raises the left hand", "a person walks forward, then turns left and then bows")
+    )
+    assert 0.8 <= short < long <= 9.8
+    assert pipe.compose(["a person raises the left hand"], seed=1, steps=FEW).frames / 20 == short
 
 
 # A whole run of the command line that may not open a socket; prints the heavy modules that it loaded.

@@ -54,12 +54,12 @@ def test_concat_sees_its_conditions_and_nothing_that_is_masked() -> None:
     denoiser = ConcatDenoiser(config(kind="concat"), LatentShape(4, 6), LatentShape(2, 6)).eval()
     nodes, kind = torch.randn(2, 5, 12), torch.randint(0, 3, (2, 5))
     order, coarse, latent = torch.zeros(2, 5, dtype=torch.int64), torch.randn(2, 2, 6), torch.randn(2, 4, 6)
-    temb = denoiser.clock(torch.tensor([3, 3]), torch.tensor([40, 40]))
+    time = denoiser.clock(torch.tensor([3, 3]), torch.tensor([40, 40]))
     bias = torch.zeros(2, 7)
     bias[:, 4] = PADDING_BIAS
 
     def noise(nodes: torch.Tensor, coarse: torch.Tensor, kind: torch.Tensor = kind) -> torch.Tensor:
-        return denoiser.step(latent, temb, denoiser.context(nodes, kind, order, coarse), bias[:, None, None, :])
+        return denoiser.step(latent, time, denoiser.context(nodes, kind, order, coarse), bias[:, None, None, :])
 
     plain = noise(nodes, coarse)
     assert plain.shape == (2, 4, 6)

@@ -10,7 +10,7 @@ import pytest
 torch = pytest.importorskip("torch")
 
 from kinegraph.contract import NULL_KIND, PADDING_BIAS  # noqa: E402
-from kinegraph_export.modules import StepGraph, tables  # noqa: E402
+from kinegraph_export.modules import ClockGraph, StepGraph  # noqa: E402
 from kinegraph_training.models.denoiser import (  # noqa: E402
     CrossAttention,
     Denoiser,
@@ -26,7 +26,10 @@ LATENT, COARSE = LatentShape(4, 6), LatentShape(2, 5)
 @pytest.fixture
 def denoiser() -> Denoiser:
     torch.manual_seed(1)
-    return Denoiser(CONFIG, LATENT, COARSE).eval()
+    made = Denoiser(CONFIG, LATENT, COARSE).eval()
+    # As trained: at the start neither step nor length says anything.
+    torch.nn.init.normal_(made.clock.out.weight, std=0.3)
+    return made
 
 
 def inputs(rows: int = 3, nodes: int = 5) -> dict[str, torch.Tensor]:
@@ -46,20 +49,20 @@ def noise(denoiser: Denoiser, step: int = 7, frames: int = 20, **parts: torch.Te
     """As training calls it."""
     rows = len(parts["latent"])
     context = denoiser.context(parts["nodes"], parts["kind"], parts["order"], parts["coarse"])
-    temb = denoiser.clock(torch.full((rows,), step), torch.full((rows,), frames))
-    return denoiser.step(parts["latent"], temb, context, parts["bias"][:, None, None, :])
+    modulation = denoiser.clock(torch.full((rows,), step), torch.full((rows,), frames))
+    return denoiser.step(parts["latent"], modulation, context, parts["bias"][:, None, None, :])
 
 
 @torch.no_grad()
 def test_the_exported_form_of_a_step_is_the_trained_one(denoiser: Denoiser) -> None:
-    # Tables in place of the clock, an identity mixing, one bias per latent token: what the runtime feeds.
+    # The clock of all steps at once, an identity mixing, one bias per latent token: what the runtime feeds.
     parts = inputs()
     context = denoiser.context(parts["nodes"], parts["kind"], parts["order"], parts["coarse"])
-    time, length = tables(denoiser.clock, CONFIG.train_steps, CONFIG.max_frames)
-    temb = (time[7] + length[20]).expand(3, 1, -1)
+    clock = ClockGraph(denoiser.clock)(torch.tensor([1, 7, 9]), torch.tensor([11, 20]))
+    modulation = clock[1, 1].expand(3, -1, -1)
     bias = parts["bias"][:, None, None, :].expand(-1, -1, 4, -1)
     flat = [part for pair in context for part in pair]
-    found = StepGraph(denoiser.step)(parts["latent"], temb, flat, torch.arange(3), torch.eye(3), bias)
+    found = StepGraph(denoiser.step)(parts["latent"], modulation, flat, torch.arange(3), torch.eye(3), bias)
     torch.testing.assert_close(found, noise(denoiser, **parts), atol=1e-5, rtol=0)
 
 
@@ -94,6 +97,32 @@ def test_mixing_sums_attention_rows_before_the_output(denoiser: Denoiser) -> Non
     mixed = module(x, key, value, bias, Mixing(torch.tensor([0, 0]), torch.tensor([[0.7, 0.3]])))
     single = [module(x, key[i : i + 1], value[i : i + 1], bias[i : i + 1], None) for i in range(2)]
     torch.testing.assert_close(mixed, 0.7 * single[0] + 0.3 * single[1], atol=1e-5, rtol=0)
+
+
+@torch.no_grad()
+def test_the_clock_scales_and_shifts_what_is_normalised(denoiser: Denoiser) -> None:
+    # A layer by hand: every branch reads LayerNorm(x) * scale + shift, with scales and shifts of its own.
+    layer = denoiser.step.layers[0]
+    generator = torch.Generator().manual_seed(0)
+    x, bias = torch.randn(2, 4, 16, generator=generator), torch.zeros(2, 1, 1, 5)
+    pair = tuple(torch.randn(2, 2, 2, 5, 8, generator=generator))
+    pieces = list(torch.randn(6, 2, 1, 16, generator=generator))
+
+    def read(x: torch.Tensor, place: int) -> torch.Tensor:
+        deviation = torch.sqrt(x.var(dim=-1, keepdim=True, unbiased=False) + 1e-5)
+        return (x - x.mean(dim=-1, keepdim=True)) / deviation * pieces[2 * place] + pieces[2 * place + 1]
+
+    expected = x + layer.self_attention(read(x, 0), None)
+    expected = expected + layer.cross_attention(read(expected, 1), *pair, bias, None)
+    expected = expected + layer.feed(read(expected, 2))
+    torch.testing.assert_close(layer(x, pieces, pair, bias, None), expected, atol=1e-5, rtol=0)
+
+
+@torch.no_grad()
+def test_an_untrained_clock_leaves_normalisation_alone() -> None:
+    modulation = Denoiser(CONFIG, LATENT, COARSE).clock(torch.tensor([3, 40]), torch.tensor([16, 40]))
+    assert modulation.shape == (2, 18, 16)
+    assert (modulation[:, 0::2] == 1).all() and (modulation[:, 1::2] == 0).all()
 
 
 def test_masked_nodes_have_no_influence(denoiser: Denoiser) -> None:

@@ -74,8 +74,8 @@ class DenoiserModule(L.LightningModule):
         if coarse is not None:
             bias = torch.cat([bias, batch.coarse_bias[:, None].expand(-1, coarse.shape[1])], dim=1)
         context = denoiser.context(nodes, batch.graph.kind, batch.graph.order, coarse)
-        temb = denoiser.clock(timestep, batch.frames)
-        predicted = denoiser.step(noisy, temb, context, bias[:, None, None, :])
+        clock = denoiser.clock(timestep, batch.frames)
+        predicted = denoiser.step(noisy, clock, context, bias[:, None, None, :])
         return (predicted.float() - noise).square().mean(dim=(1, 2))
 
     def losses(self, batch: DenoiserBatch, generator: torch.Generator | None = None) -> dict[str, Tensor]:

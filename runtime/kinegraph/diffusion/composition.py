@@ -1,7 +1,8 @@
 """Composing predictions of one step (EnergyMoGen, Eq. 7-10) around the step graph's `src` and `combine`.
 
-n concepts with weights w_i, guidance scale s, predictions eps_0 (neither text nor coarser latent) and eps_c (no text,
-but the coarser latent, which all concepts share; eps_0 at the coarsest level):
+n concepts with weights w_i, guidance scale s, predictions eps_0 (what guidance leads away from) and eps_c (no text, but
+the coarser latent, which all concepts share; eps_0 itself at the coarsest level, and where a bundle leads away from
+it):
 
     latent-aware    eps^l = eps_0 + s (eps_c - eps_0 + sum_i w_i (eps_i - eps_c))  Eq. 7 (w_i > 0), Eq. 8 (w_i < 0)
     semantic-aware  eps^s = eps_0 + s (eps(z') - eps_0)
@@ -55,18 +56,24 @@ class Composition:
 
 
 def composition(
-    weights: Sequence[float], lambdas: tuple[float, float, float], scale: float, *, coarse: bool
+    weights: Sequence[float],
+    lambdas: tuple[float, float, float],
+    scale: float,
+    *,
+    coarse: bool,
+    joint_weights: Sequence[float] = (1.0,),
 ) -> Composition:
     """Rows for the terms whose lambda is not 0.
 
-    Contexts are numbered 0 for nothing, 1 for no text beside the coarser latent, 2 .. n + 1 for the concepts, n + 2 for
-    the joint text. Rows come in the same order, with the semantic row before that of the joint text.
+    Contexts are numbered 0 for nothing, 1 for no text beside the coarser latent, 2 .. n + 1 for the concepts, n + 2
+    and on for the joint text. Rows come in the same order, with the semantic row before that of the joint text.
 
     Args:
         weights: w_1 .. w_n.
         lambdas: of the latent-aware, the semantic-aware and the joint-text term.
         scale: guidance s of the level.
-        coarse: whether there is a coarser latent.
+        coarse: whether eps_c differs from eps_0.
+        joint_weights: of the graphs whose sum is the joint text: one of weight 1, unless its edges were edited.
     """
     latent, semantic, joint = lambdas
     w = np.asarray(weights, dtype=np.float64)
@@ -85,8 +92,8 @@ def composition(
         rows.append([(int(concept), float(share)) for concept, share in zip(concepts, shares, strict=True)])
         mix.append(scale * semantic)
     if joint:
-        rows.append([(len(w) + 2, 1.0)])
-        mix.append(scale * joint)
+        rows += [[(len(w) + 2 + place, 1.0)] for place in range(len(joint_weights))]
+        mix += [scale * joint * weight for weight in joint_weights]
     mix[0] = 1.0 - sum(mix)
     return Composition(_wiring(rows), np.array(mix, dtype=np.float32))
 

@@ -6,7 +6,8 @@ from importlib import import_module
 from importlib.util import find_spec
 from typing import TYPE_CHECKING, Final, cast
 
-from kinegraph.errors import MissingExtraError
+from kinegraph.errors import InvalidInputError, MissingExtraError
+from kinegraph.formats.joint_names import CONVENTIONS, DEFAULT_NAMES
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -15,10 +16,14 @@ if TYPE_CHECKING:
 
 WRITERS: Final[dict[str, str]] = {
     ".bvh": "kinegraph.formats.bvh",
+    ".glb": "kinegraph.formats.glb",
     ".npz": "kinegraph.formats.npz",
     ".png": "kinegraph.formats.png",
 }
 """Suffix -> module with `encode(clip) -> bytes`; loaded when used: a format may need an optional package."""
+
+NAMED: Final = frozenset((".bvh", ".glb"))
+"""Formats whose joints are named by convention."""
 
 _NEEDS: Final[dict[str, tuple[str, str]]] = {".png": ("matplotlib", "plot")}
 """Suffix -> package beyond numpy that its writer needs, and the extra that installs it."""
@@ -32,16 +37,27 @@ def check_installed(suffix: str) -> None:
             raise MissingExtraError(f'{suffix} files need {package}: pip install "kinegraph[{extra}]"')
 
 
-def encode(clip: Clip, suffix: str) -> bytes:
+def encode(clip: Clip, suffix: str, names: str = DEFAULT_NAMES) -> bytes:
     """The bytes of a clip as a file of one kind; equal clips give equal bytes.
 
     Args:
         clip: what to write.
         suffix: a key of `WRITERS`.
+        names: convention of the joints' names, `joint_names.CONVENTIONS`, in files for animation programs.
 
     Raises:
+        InvalidInputError: there is no such convention, or the format has none.
         MissingExtraError: the format needs a package that is not installed.
     """
+    check_names(suffix, names)
     check_installed(suffix)
-    writer = cast("Callable[[Clip], bytes]", import_module(WRITERS[suffix]).encode)
-    return writer(clip)
+    writer = cast("Callable[..., bytes]", import_module(WRITERS[suffix]).encode)
+    return writer(clip, names) if suffix in NAMED else writer(clip)
+
+
+def check_names(suffix: str, names: str) -> None:
+    """Refuse a convention of names that there is not, or that a format does not have."""
+    if names not in CONVENTIONS:
+        raise InvalidInputError(f"joint names must be one of {', '.join(CONVENTIONS)}, not {names!r}")
+    if names != DEFAULT_NAMES and suffix not in NAMED:
+        raise InvalidInputError(f"joint names {names!r} are for {', '.join(sorted(NAMED))}, not for {suffix}")

@@ -5,18 +5,20 @@ from __future__ import annotations
 import os
 import secrets
 import stat
+from collections.abc import Collection
 from pathlib import Path
 
 from kinegraph.errors import OutputError
 from kinegraph.formats import WRITERS, check_installed
 
 
-def check_target(path: str | os.PathLike[str], force: bool = False) -> None:
+def check_target(path: str | os.PathLike[str], force: bool = False, suffixes: Collection[str] = tuple(WRITERS)) -> None:
     """Refuse a target that could not be written, before anything is computed for it.
 
     Args:
         path: file to write; its suffix chooses the format.
         force: whether an existing file may be replaced.
+        suffixes: the formats that there are; those of a clip, unless told.
 
     Raises:
         OutputError: unknown suffix, missing or unwritable folder, a directory or device, or an existing file
@@ -28,7 +30,7 @@ def check_target(path: str | os.PathLike[str], force: bool = False) -> None:
     mode = _mode(target)
     if mode is not None and stat.S_ISDIR(mode):
         raise OutputError(f"{name} is a directory; name a file, for example {str(target / 'clip.npz')!r}")
-    check_installed(suffix_of(target))
+    check_installed(suffix_of(target, suffixes))
     _check_folder(target)
     if mode is None:
         return
@@ -40,17 +42,17 @@ def check_target(path: str | os.PathLike[str], force: bool = False) -> None:
         raise OutputError(f"{name} is write-protected; make it writable or choose another name")
 
 
-def suffix_of(path: str | os.PathLike[str]) -> str:
-    """The key of `formats.WRITERS` that a file name asks for.
+def suffix_of(path: str | os.PathLike[str], suffixes: Collection[str] = tuple(WRITERS)) -> str:
+    """The one of some suffixes that a file name asks for; those of a clip, `formats.WRITERS`, unless told.
 
     Raises:
         OutputError: there is no such format.
     """
     suffix = Path(path).suffix.lower()
-    if suffix not in WRITERS:
-        known = ", ".join(sorted(WRITERS))
+    if suffix not in suffixes:
+        known = ", ".join(sorted(suffixes))
         said = f"the suffix {suffix!r}" if suffix else "no suffix"
-        raise OutputError(f"{str(path)!r} has {said}; a clip can be saved as {known}")
+        raise OutputError(f"{str(path)!r} has {said}; it can be saved as {known}")
     return suffix
 
 

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from kinegraph.formats.joint_names import CONVENTIONS, DEFAULT_NAMES
 from kinegraph.motion.quaternions import to_matrix
 from kinegraph.motion.rotations import CHILDREN, solve_rotations
 from kinegraph.motion.skeleton import JOINT_INDEX, JOINT_NAMES
@@ -32,13 +33,13 @@ END_SITES: Final[dict[str, tuple[float, float, float]]] = {
 """Metres from the last joint of a chain to the end of the body."""
 
 
-def encode(clip: Clip) -> bytes:
-    """The file of a clip."""
+def encode(clip: Clip, names: str = DEFAULT_NAMES) -> bytes:
+    """The file of a clip; `names` is one of `joint_names.CONVENTIONS`."""
     motion = solve_rotations(clip.joints)
     order = _depth_first(0)
     angles = np.degrees(euler_zxy(to_matrix(motion.rotations)))[:, order]
     rows = np.concatenate([motion.root * CENTIMETRES, angles.reshape(clip.frames, -1)], axis=1)
-    lines = ["HIERARCHY", *_joint_lines(0, motion.rest_offsets, "")]
+    lines = ["HIERARCHY", *_joint_lines(0, motion.rest_offsets, CONVENTIONS[names], "")]
     lines += ["MOTION", f"Frames: {clip.frames}", f"Frame Time: {1.0 / clip.fps:.8f}"]
     # Adding 0.0 turns -0.0 into 0.0.
     lines += [" ".join(f"{value:.6f}" for value in row) for row in np.round(rows, 6) + 0.0]
@@ -74,9 +75,9 @@ def _depth_first(joint: int) -> list[int]:
     return [joint, *(below for child in CHILDREN[joint] for below in _depth_first(child))]
 
 
-def _joint_lines(joint: int, offsets: Floats, indent: str) -> list[str]:
+def _joint_lines(joint: int, offsets: Floats, names: tuple[str, ...], indent: str) -> list[str]:
     inner = indent + "\t"
-    name = JOINT_NAMES[joint]
+    name = names[joint]
     rotations = "Zrotation Xrotation Yrotation"
     if joint == JOINT_INDEX["pelvis"]:
         head, channels = f"ROOT {name}", f"CHANNELS 6 Xposition Yposition Zposition {rotations}"
@@ -89,9 +90,9 @@ def _joint_lines(joint: int, offsets: Floats, indent: str) -> list[str]:
         f"{inner}{channels}",
     ]
     for child in CHILDREN[joint]:
-        lines += _joint_lines(child, offsets, inner)
+        lines += _joint_lines(child, offsets, names, inner)
     if not CHILDREN[joint]:
-        end = np.array(END_SITES[name])
+        end = np.array(END_SITES[JOINT_NAMES[joint]])
         lines += [f"{inner}End Site", f"{inner}{{", f"{inner}\tOFFSET {_vector(end)}", f"{inner}}}"]
     return [*lines, f"{indent}}}"]
 

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import math
 import os
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from kinegraph.errors import InvalidInputError
 from kinegraph.formats import encode
 from kinegraph.formats.atomic import check_target, suffix_of, write_atomically
+from kinegraph.formats.joint_names import DEFAULT_NAMES
+from kinegraph.motion.retiming import check_fps, in_place, looped, resampled
 from kinegraph.motion.skeleton import JOINTS, FloatArray
 
 __all__ = ["Clip", "check_target"]
@@ -64,7 +66,28 @@ class Clip:
         """Seconds; every frame is shown for 1 / fps."""
         return self.frames / self.fps
 
-    def save(self, path: str | os.PathLike[str], *, force: bool = False) -> None:
+    def resampled(self, fps: float) -> Clip:
+        """The same motion at another frame rate, 1 to 240; see `retiming.resampled`.
+
+        Raises:
+            InvalidInputError: the frame rate is none.
+        """
+        check_fps(fps)
+        return replace(self, joints=resampled(self.joints, self.fps, float(fps)), fps=float(fps))
+
+    def in_place(self) -> Clip:
+        """Without travel over the floor, for games that move the character themselves."""
+        return replace(self, joints=in_place(self.joints))
+
+    def looped(self) -> Clip:
+        """Shorter, and such that its last frame leads into its first; see `retiming.looped`.
+
+        Raises:
+            InvalidInputError: fewer than 8 frames.
+        """
+        return replace(self, joints=looped(self.joints, self.fps))
+
+    def save(self, path: str | os.PathLike[str], *, force: bool = False, names: str = DEFAULT_NAMES) -> None:
         """Write a file; its suffix chooses the format (`formats.WRITERS`).
 
         The file appears complete or not at all.
@@ -72,12 +95,14 @@ class Clip:
         Args:
             path: file to write, in a folder that exists.
             force: replace an existing file.
+            names: what `.bvh` and `.glb` call the joints: "smpl" or "mixamo".
 
         Raises:
+            InvalidInputError: there is no such convention of names, or the format has none.
             OutputError: the file cannot be written there; see `check_target`.
         """
         check_target(path, force)
-        write_atomically(path, encode(self, suffix_of(path)))
+        write_atomically(path, encode(self, suffix_of(path), names))
 
 
 def _checked_joints(joints: object) -> FloatArray:

@@ -3,8 +3,8 @@
 The rest pose is a T-pose that faces +Z, with the clip's own bone lengths. The pelvis and the upper spine
 (spine3) have three children each, and their turn is the one that brings all three closest to where they were
 seen (Kabsch, 1976; Markley's (1988) singular value form). A joint with one child takes the shortest turn
-from its parent that aims at the child; joints without one are not turned. Positions do not say how a limb is
-twisted about its own length: here it is not.
+from its parent that aims at the child, after the turn about its own length that `twist` finds for shoulders, hips and
+spine; joints without one are not turned.
 """
 
 from __future__ import annotations
@@ -26,12 +26,17 @@ from kinegraph.motion.quaternions import (
     rotate,
 )
 from kinegraph.motion.skeleton import JOINT_INDEX, JOINT_NAMES, JOINTS, PARENTS, bone_lengths
+from kinegraph.motion.twist import HINGES, hinge_twist, spine_twist, twisted
 
 Floats = NDArray[np.floating[Any]]
 
 CHILDREN: Final[tuple[tuple[int, ...], ...]] = tuple(
     tuple(child for child, parent in enumerate(PARENTS) if parent == joint) for joint in range(JOINTS)
 )
+
+CHEST: Final = JOINT_INDEX["spine3"]
+SPINE: Final = (JOINT_INDEX["spine1"], JOINT_INDEX["spine2"])
+"""Joints between pelvis and chest, which share their twist with the chest."""
 
 _FOOT: Final = (0.0, -0.45, 0.89)
 _PART_DIRECTIONS: Final[dict[str, tuple[float, float, float]]] = {
@@ -86,6 +91,11 @@ def solve_rotations(joints: Floats) -> SkeletonMotion:
     local = np.tile(np.array(IDENTITY), (len(seen), JOINTS, 1))
     turned = local.copy()
     reached = np.zeros_like(seen)
+    chest, trunk = list(CHILDREN[CHEST]), list(CHILDREN[0])
+    share = spine_twist(
+        _best_turn(offsets[trunk], seen[:, trunk] - seen[:, :1]),
+        _best_turn(offsets[chest], seen[:, chest] - seen[:, CHEST, None]),
+    ) / (1 + len(SPINE))
     for joint in range(JOINTS):
         parent = PARENTS[joint]
         before = turned[:, parent] if joint else turned[:, joint]
@@ -97,6 +107,13 @@ def solve_rotations(joints: Floats) -> SkeletonMotion:
             local[:, joint] = _best_turn(offsets[children], goals)
         elif children:
             local[:, joint] = between(offsets[children[0]], goals[:, 0])
+            if joint in HINGES:
+                middle, end, axis = HINGES[joint]
+                lower = rotate(conjugate(before), seen[:, end] - seen[:, middle])
+                angle = hinge_twist(offsets[middle], goals[:, 0], lower, np.array(axis))
+                local[:, joint] = twisted(local[:, joint], offsets[middle], angle)
+            elif joint in SPINE:
+                local[:, joint] = twisted(local[:, joint], offsets[children[0]], share)
         turned[:, joint] = multiply(before, local[:, joint])
     error = np.linalg.norm(reached - seen, axis=-1)
     return SkeletonMotion(offsets, seen[:, 0].copy(), continuous(local), error)

@@ -9,7 +9,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor, nn
 
-from kinegraph_training.models.denoiser import Clock, ContextTokens, DenoiserConfig, LatentShape
+from kinegraph_training.models.denoiser import ContextTokens, DenoiserConfig, LatentShape, TimeAndLength
 from kinegraph_training.models.transformer import EncoderLayer, SkipStack
 
 
@@ -24,9 +24,9 @@ class ConcatStep(SkipStack):
         self.position = nn.Parameter(torch.randn(latent.tokens, config.width) * 0.02)
         self.noise_out = nn.Linear(config.width, latent.width)
 
-    def forward(self, latent: Tensor, temb: Tensor, context: Tensor, bias: Tensor) -> Tensor:  # type: ignore[override]
-        """latent (r, c, z), temb (r, 1, d), context (r, s, d), bias (r, 1, 1, s) -> noise (r, c, z)."""
-        sequence = torch.cat([temb, context, self.latent_in(latent) + self.position], dim=1)
+    def forward(self, latent: Tensor, time: Tensor, context: Tensor, bias: Tensor) -> Tensor:  # type: ignore[override]
+        """latent (r, c, z), time (r, d), context (r, s, d), bias (r, 1, 1, s) -> noise (r, c, z)."""
+        sequence = torch.cat([time[:, None], context, self.latent_in(latent) + self.position], dim=1)
         free = bias.new_zeros(*bias.shape[:-1], 1)
         full = torch.cat([free, bias, free.expand(*bias.shape[:-1], self.tokens)], dim=-1)
         return self.noise_out(super().forward(sequence, full)[:, -self.tokens :])
@@ -38,5 +38,5 @@ class ConcatDenoiser(nn.Module):
     def __init__(self, config: DenoiserConfig, latent: LatentShape, coarse: LatentShape | None) -> None:
         super().__init__()
         self.context = ContextTokens(config, coarse)
-        self.clock = Clock(config)
+        self.clock = TimeAndLength(config)
         self.step = ConcatStep(config, latent)

@@ -1,20 +1,21 @@
 """The three cross-attention denoisers (GraphMotion, section 3.3; conditions by cross-attention as in EnergyMoGen).
 
-Split along what changes: `ContextEncoder` runs once per sample and yields every layer's keys and values, `Clock` is
-tabulated at export, `StepNetwork` runs at every diffusion step on the latent tokens alone.
+Split along what changes: `ContextEncoder` runs once per sample and yields every layer's keys and values, `Clock` once
+for all diffusion steps, `StepNetwork` at every diffusion step on the latent tokens alone.
 
 Shapes: r latent rows, a attention rows (r = a in training), c latent tokens, z latent width, n nodes, s context
-tokens, d width, h heads.
+tokens, d width, h heads, m modulations.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import torch
 from torch import Tensor, nn
 
-from kinegraph.contract import LEVELS, NODE_KINDS, NULL_KIND
+from kinegraph.contract import LEVELS, MODULATIONS, NODE_KINDS, NULL_KIND
 from kinegraph.errors import InvalidInputError
 from kinegraph_training.models.transformer import (
     FeedForward,
@@ -137,31 +138,38 @@ class ContextEncoder(ContextTokens):
         return [(split_heads(key, self.heads), split_heads(value, self.heads)) for key, value in pairs]
 
 
-class Clock(nn.Module):
+class TimeAndLength(nn.Module):
     """Embedding of the diffusion step plus that of the clip's length: a latent that does not know how long its clip
     is comes out time-warped."""
 
     def __init__(self, config: DenoiserConfig) -> None:
         super().__init__()
         self.width = config.width
-        self.time = nn.Sequential(
-            nn.Linear(config.width, config.width), nn.SiLU(), nn.Linear(config.width, config.width)
+        self.time, self.length = (
+            nn.Sequential(nn.Linear(config.width, config.width), nn.SiLU(), nn.Linear(config.width, config.width))
+            for _ in range(2)
         )
-        self.length = nn.Sequential(
-            nn.Linear(config.width, config.width), nn.SiLU(), nn.Linear(config.width, config.width)
-        )
-
-    def of_time(self, step: Tensor) -> Tensor:
-        """(...,) diffusion steps -> (..., d)."""
-        return self.time(sinusoid(step.float(), self.width))
-
-    def of_length(self, frames: Tensor) -> Tensor:
-        """(...,) frames -> (..., d)."""
-        return self.length(sinusoid(frames.float(), self.width))
 
     def forward(self, step: Tensor, frames: Tensor) -> Tensor:
-        """(r,), (r,) -> (r, 1, d)."""
-        return (self.of_time(step) + self.of_length(frames))[:, None]
+        """Diffusion steps and frames, of shapes that broadcast to (...,) -> (..., d)."""
+        return self.time(sinusoid(step.float(), self.width)) + self.length(sinusoid(frames.float(), self.width))
+
+
+class Clock(TimeAndLength):
+    """Adaptive LayerNorm (Peebles & Xie, 2023): scale and shift of every normalisation, from step and length."""
+
+    def __init__(self, config: DenoiserConfig) -> None:
+        super().__init__(config)
+        self.out = nn.Linear(config.width, config.layers * MODULATIONS * config.width)
+        nn.init.zeros_(self.out.weight)
+        start = torch.zeros(config.layers, MODULATIONS // 2, 2, config.width)
+        start[:, :, 0] = 1.0
+        self.out.bias = nn.Parameter(start.flatten())
+
+    def forward(self, step: Tensor, frames: Tensor) -> Tensor:
+        """As `TimeAndLength` -> (..., m, d), m = layers x MODULATIONS."""
+        both = self.out(nn.functional.silu(super().forward(step, frames)))
+        return both.unflatten(-1, (-1, self.width))
 
 
 class CrossAttention(nn.Module):
@@ -191,18 +199,21 @@ class DenoiserLayer(nn.Module):
 
     def __init__(self, config: DenoiserConfig) -> None:
         super().__init__()
-        self.norm_self = nn.LayerNorm(config.width)
+        self.norm = nn.LayerNorm(config.width, elementwise_affine=False)
         self.self_attention = SelfAttention(config.width, config.heads)
-        self.norm_cross = nn.LayerNorm(config.width)
         self.cross_attention = CrossAttention(config.width, config.heads)
-        self.norm_feed = nn.LayerNorm(config.width)
         self.feed = FeedForward(config.width, config.feed_forward)
         self.dropout = nn.Dropout(config.dropout)
 
-    def forward(self, x: Tensor, pair: tuple[Tensor, Tensor], bias: Tensor, mixing: Mixing | None) -> Tensor:
-        x = x + self.dropout(self.self_attention(self.norm_self(x), None))
-        x = x + self.dropout(self.cross_attention(self.norm_cross(x), *pair, bias, mixing))
-        return x + self.dropout(self.feed(self.norm_feed(x)))
+    def forward(
+        self, x: Tensor, modulation: Sequence[Tensor], pair: tuple[Tensor, Tensor], bias: Tensor, mixing: Mixing | None
+    ) -> Tensor:
+        """modulation: scale and shift of the three normalisations, (r, 1, d) each."""
+        before_self, shift_self, before_cross, shift_cross, before_feed, shift_feed = modulation
+        x = x + self.dropout(self.self_attention(self.norm(x) * before_self + shift_self, None))
+        normed = self.norm(x) * before_cross + shift_cross
+        x = x + self.dropout(self.cross_attention(normed, *pair, bias, mixing))
+        return x + self.dropout(self.feed(self.norm(x) * before_feed + shift_feed))
 
 
 class StepNetwork(SkipStack):
@@ -215,13 +226,15 @@ class StepNetwork(SkipStack):
         self.noise_out = nn.Linear(config.width, latent.width)
 
     def forward(  # type: ignore[override]
-        self, latent: Tensor, temb: Tensor, context: KeyValue, bias: Tensor, mixing: Mixing | None = None
+        self, latent: Tensor, modulation: Tensor, context: KeyValue, bias: Tensor, mixing: Mixing | None = None
     ) -> Tensor:
-        """latent (r, c, z), temb (r, 1, d), context of (a, h, s, d/h), bias (a, 1, 1 or c, s) -> noise (r, c, z)."""
-        x = self.latent_in(latent) + self.position + temb
+        """latent (r, c, z), modulation (r, m, d), context of (a, h, s, d/h), bias (a, 1, 1 or c, s) -> (r, c, z)."""
+        x = self.latent_in(latent) + self.position
+        pieces = modulation.split(1, dim=1)
         kept: list[Tensor] = []
         for index, (layer, pair) in enumerate(zip(self.layers, context, strict=True)):
-            x = layer(self.join(index, x, kept), pair, bias, mixing)
+            own = pieces[MODULATIONS * index : MODULATIONS * (index + 1)]
+            x = layer(self.join(index, x, kept), own, pair, bias, mixing)
             if index < len(self.layers) // 2:
                 kept.append(x)
         return self.noise_out(self.norm(x))

@@ -1,0 +1,119 @@
+"""The three latent diffusion models (GraphMotion, section 3.3): motion, then action, then specific latent."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinegraph.conditions import Conditions, for_level, stacked, without_anything, without_text
+from kinegraph.contract import LEVELS
+from kinegraph.diffusion.composition import Wiring, composition, mixed
+from kinegraph.diffusion.ddim import DdimCoefficients
+from kinegraph.diffusion.guidance import guided
+from kinegraph.diffusion.sampler import LevelPlan, OnStep, Predict, PredictorFor, coarse_to_fine, initial_noise
+from kinegraph.manifest import Manifest
+from kinegraph.network import RowNetwork, modulations, row_network
+from kinegraph.options import GenerateOptions
+from kinegraph.sessions import Sessions
+
+FloatArray = NDArray[np.float32]
+
+
+@dataclass(frozen=True)
+class Denoisers:
+    """From encoded graphs to the latent that the decoder reads."""
+
+    sessions: Sessions
+    manifest: Manifest
+
+    def guided(self, encoded: Conditions, options: Sequence[GenerateOptions], on_step: OnStep | None) -> FloatArray:
+        """Latents of the finest level, (B, C, z); all samples of a batch share steps and guidance."""
+        first = options[0]
+        frames = np.array([each.frames for each in options])
+
+        def predictor_for(number: int, times: DdimCoefficients, coarse: FloatArray | None) -> Predict:
+            name = LEVELS[number]
+            return self._predictor(name, encoded, coarse, frames, times, first.guidance[name])
+
+        return self._sampled(options, predictor_for, on_step)
+
+    def composed(
+        self,
+        encoded: Conditions,
+        weights: Sequence[float],
+        joint: Sequence[float],
+        shares: tuple[float, float, float],
+        options: GenerateOptions,
+        on_step: OnStep | None,
+    ) -> FloatArray:
+        """Latent of the finest level from several graphs, one run per step whatever the method.
+
+        Rows of `encoded` come in the order of `weights`, then of `joint`, the graphs of the joint text.
+        """
+
+        def predictor_for(number: int, times: DdimCoefficients, coarse: FloatArray | None) -> Predict:
+            name = LEVELS[number]
+            apart = coarse is not None and self.manifest.defaults.guidance_base == "empty"
+            plan = composition(weights, shares, options.guidance[name], coarse=apart, joint_weights=joint)
+            seen = for_level(encoded, self.manifest.levels[name].nodes)
+            first = Conditions(*(part[:1] for part in vars(seen).values()))
+            known = stacked(stacked(self._base(first), without_text(first)), seen)
+            rows = len(plan.mix)
+            shared = None if coarse is None else np.repeat(coarse, len(known.kind), axis=0)
+            network = self._network(name, known, shared, plan.wiring, np.full(rows, options.frames), times)
+            return lambda latent, step: mixed(network(np.repeat(latent, rows, axis=0), step), plan.mix)
+
+        return self._sampled([options], predictor_for, on_step)
+
+    def _sampled(
+        self, options: Sequence[GenerateOptions], predictor_for: PredictorFor, on_step: OnStep | None
+    ) -> FloatArray:
+        """All levels, each sample from the noise of its own seed."""
+        plans = [
+            LevelPlan(name, spec.tokens, spec.latent_width, options[0].steps[name])
+            for name, spec in ((name, self.manifest.levels[name]) for name in LEVELS)
+        ]
+        per_sample = [initial_noise(each.seed, plans) for each in options]
+        noises = [np.stack(level) for level in zip(*per_sample, strict=True)]
+        return coarse_to_fine(plans, noises, predictor_for, self.manifest.schedule.noise, on_step)[-1]
+
+    def _predictor(
+        self,
+        name: str,
+        encoded: Conditions,
+        coarse: FloatArray | None,
+        frames: NDArray[np.int64],
+        times: DdimCoefficients,
+        scale: float,
+    ) -> Predict:
+        """Guided noise prediction of one level: rows are the unconditional predictions of all samples, then theirs."""
+        seen = for_level(encoded, self.manifest.levels[name].nodes)
+        known = stacked(self._base(seen), seen)
+        twice = None if coarse is None else np.concatenate([coarse, coarse])
+        network = self._network(name, known, twice, Wiring.straight(2 * len(frames)), np.tile(frames, 2), times)
+
+        def predict(latent: FloatArray, step: int) -> FloatArray:
+            unconditional, conditional = np.split(network(np.concatenate([latent, latent]), step), 2)
+            return guided(unconditional, conditional, scale)
+
+        return predict
+
+    def _base(self, seen: Conditions) -> Conditions:
+        """What guidance leads away from."""
+        return without_anything(seen) if self.manifest.defaults.guidance_base == "empty" else without_text(seen)
+
+    def _network(
+        self,
+        name: str,
+        known: Conditions,
+        coarse: FloatArray | None,
+        wiring: Wiring,
+        frames: NDArray[np.int64],
+        times: DdimCoefficients,
+    ) -> RowNetwork:
+        sessions = self.sessions
+        modulation = modulations(sessions.clock[name], times.timesteps, frames)
+        return row_network(sessions.context[name], sessions.step[name], known, coarse, wiring, modulation)

@@ -1,0 +1,148 @@
+"""`.glb`: the clip as a skinned person, glTF 2.0 in one binary file (Khronos, glTF 2.0 specification).
+
+Metres, Y up, facing +Z as glTF has it; the rest pose is a T-pose. One skin, one animation: a rotation track per joint
+and a translation track of the root, a key at every frame, interpolated along the shorter way.
+"""
+
+from __future__ import annotations
+
+import json
+import struct
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinegraph.formats.body import rest_body
+from kinegraph.formats.joint_names import CONVENTIONS, DEFAULT_NAMES
+from kinegraph.motion.rotations import CHILDREN, forward_kinematics, solve_rotations
+from kinegraph.motion.skeleton import JOINTS
+
+if TYPE_CHECKING:
+    from kinegraph.motion.clip import Clip
+
+FLOAT, UNSIGNED_BYTE, UNSIGNED_SHORT = 5126, 5121, 5123
+ARRAY_BUFFER, ELEMENT_ARRAY_BUFFER = 34962, 34963
+_TYPES: Final = {(): "SCALAR", (3,): "VEC3", (4,): "VEC4", (4, 4): "MAT4"}
+_COMPONENTS: Final = {"float32": FLOAT, "uint8": UNSIGNED_BYTE, "uint16": UNSIGNED_SHORT}
+
+
+class _Buffer:
+    """The binary part, and the views and accessors that name its pieces."""
+
+    def __init__(self) -> None:
+        self.data = bytearray()
+        self.views: list[dict[str, Any]] = []
+        self.accessors: list[dict[str, Any]] = []
+
+    def add(self, array: NDArray[Any], *, target: int | None = None, bounds: bool = False) -> int:
+        """Store an array; returns the number of its accessor."""
+        view = {"buffer": 0, "byteOffset": len(self.data), "byteLength": array.nbytes}
+        self.views.append(view if target is None else {**view, "target": target})
+        self.data += np.ascontiguousarray(array).tobytes()
+        self.data += b"\0" * (-len(self.data) % 4)
+        accessor = {
+            "bufferView": len(self.views) - 1,
+            "componentType": _COMPONENTS[array.dtype.name],
+            "count": len(array),
+            "type": _TYPES[array.shape[1:]],
+        }
+        if bounds:
+            accessor |= {"min": np.atleast_1d(array.min(0)).tolist(), "max": np.atleast_1d(array.max(0)).tolist()}
+        self.accessors.append(accessor)
+        return len(self.accessors) - 1
+
+
+def encode(clip: Clip, names: str = DEFAULT_NAMES) -> bytes:
+    """The file of a clip; `names` is one of `joint_names.CONVENTIONS`."""
+    motion = solve_rotations(clip.joints)
+    still = np.zeros((1, JOINTS, 4)) + np.array([1.0, 0.0, 0.0, 0.0])
+    rest = forward_kinematics(motion.rest_offsets, np.zeros((1, 3)), still)[0]
+    buffer = _Buffer()
+    mesh, skin = _mesh(buffer, rest), _skin(buffer, rest)
+    nodes = _nodes(motion.rest_offsets, rest, CONVENTIONS[names])
+    document = {
+        "asset": {"version": "2.0", "generator": "kinegraph", "extras": _origin(clip)},
+        "scene": 0,
+        "scenes": [{"nodes": [0, JOINTS], "name": "clip"}],
+        "nodes": [*nodes, {"name": "body", "mesh": 0, "skin": 0}],
+        "meshes": [mesh],
+        "materials": [_MATERIAL],
+        "skins": [skin],
+        "animations": [_animation(buffer, clip, motion.root, motion.rotations)],
+        "accessors": buffer.accessors,
+        "bufferViews": buffer.views,
+        "buffers": [{"byteLength": len(buffer.data)}],
+    }
+    return _container(document, bytes(buffer.data))
+
+
+_MATERIAL: Final = {
+    "name": "body",
+    "pbrMetallicRoughness": {"baseColorFactor": [0.42, 0.55, 0.78, 1.0], "metallicFactor": 0.0, "roughnessFactor": 0.7},
+}
+
+
+def _origin(clip: Clip) -> dict[str, Any]:
+    """What is needed to make the clip again."""
+    return {"text": clip.text, "seed": str(clip.seed), "bundle": clip.bundle, "fps": clip.fps}
+
+
+def _mesh(buffer: _Buffer, rest: NDArray[Any]) -> dict[str, Any]:
+    body = rest_body(rest)
+    carried = np.zeros((len(body.joints), 4), dtype=np.uint8)
+    carried[:, 0] = body.joints
+    weights = np.zeros(carried.shape, dtype=np.float32)
+    weights[:, 0] = 1.0
+    attributes = {
+        "POSITION": buffer.add(body.positions.astype(np.float32), target=ARRAY_BUFFER, bounds=True),
+        "NORMAL": buffer.add(body.normals.astype(np.float32), target=ARRAY_BUFFER),
+        "JOINTS_0": buffer.add(carried, target=ARRAY_BUFFER),
+        "WEIGHTS_0": buffer.add(weights, target=ARRAY_BUFFER),
+    }
+    indices = buffer.add(body.triangles.ravel().astype(np.uint16), target=ELEMENT_ARRAY_BUFFER)
+    return {"name": "body", "primitives": [{"attributes": attributes, "indices": indices, "material": 0}]}
+
+
+def _skin(buffer: _Buffer, rest: NDArray[Any]) -> dict[str, Any]:
+    # joints are not turned at rest: to bind one is to take its place away; matrices are stored column by column
+    inverse = np.tile(np.eye(4, dtype=np.float32), (JOINTS, 1, 1))
+    inverse[:, 3, :3] = -rest
+    return {
+        "name": "skeleton",
+        "skeleton": 0,
+        "joints": list(range(JOINTS)),
+        "inverseBindMatrices": buffer.add(inverse),
+    }
+
+
+def _nodes(offsets: NDArray[Any], rest: NDArray[Any], names: tuple[str, ...]) -> list[dict[str, Any]]:
+    nodes = []
+    for joint in range(JOINTS):
+        node: dict[str, Any] = {"name": names[joint], "translation": [float(value) for value in offsets[joint]]}
+        if CHILDREN[joint]:
+            node["children"] = list(CHILDREN[joint])
+        nodes.append(node)
+    # at rest it stands on the floor
+    nodes[0]["translation"] = [0.0, float(-rest[:, 1].min()), 0.0]
+    return nodes
+
+
+def _animation(buffer: _Buffer, clip: Clip, root: NDArray[Any], rotations: NDArray[Any]) -> dict[str, Any]:
+    times = buffer.add((np.arange(clip.frames) / clip.fps).astype(np.float32), bounds=True)
+    tracks = [("translation", 0, root)]
+    # glTF has the scalar last
+    tracks += [("rotation", joint, rotations[:, joint, [1, 2, 3, 0]]) for joint in range(JOINTS)]
+    samplers, channels = [], []
+    for path, joint, values in tracks:
+        samplers.append({"input": times, "output": buffer.add(values.astype(np.float32)), "interpolation": "LINEAR"})
+        channels.append({"sampler": len(samplers) - 1, "target": {"node": joint, "path": path}})
+    return {"name": clip.text[:64] or "clip", "samplers": samplers, "channels": channels}
+
+
+def _container(document: dict[str, Any], binary: bytes) -> bytes:
+    """Header, JSON chunk, binary chunk; each chunk padded to four bytes."""
+    text = json.dumps(document, separators=(",", ":"), ensure_ascii=False).encode()
+    text += b" " * (-len(text) % 4)
+    chunks = struct.pack("<I4s", len(text), b"JSON") + text + struct.pack("<I4s", len(binary), b"BIN\0") + binary
+    return struct.pack("<4sII", b"glTF", 2, 12 + len(chunks)) + chunks

@@ -1,0 +1,108 @@
+"""Feet that stand stay where they stand: contacts read off the joints, ankles pinned by two-bone inverse kinematics."""
+
+from __future__ import annotations
+
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinegraph.motion.quaternions import normalised
+from kinegraph.motion.skeleton import JOINT_INDEX, FloatArray
+
+Floats = NDArray[np.floating[Any]]
+
+SIDES: Final[tuple[tuple[int, int, int, int], ...]] = tuple(
+    (JOINT_INDEX[f"{side}_hip"], JOINT_INDEX[f"{side}_knee"], JOINT_INDEX[f"{side}_ankle"], JOINT_INDEX[f"{side}_foot"])
+    for side in ("left", "right")
+)
+"""Hip, knee, ankle and toe of both legs."""
+
+STANDS: Final = 0.5
+"""m/s over the floor: a toe that is slower and low stands, or is meant to."""
+LOW: Final = 0.07
+"""Metres above the toe's lowest tenth."""
+SHORTEST_STAND: Final = 0.15
+"""Seconds; a shorter contact is a swinging foot that happens to be slow."""
+RAMP: Final = 0.2
+"""Seconds in which a correction comes and goes beside a contact."""
+FURTHEST: Final = 0.08
+"""Metres: a foot that is further from where it would stand is meant to move."""
+STRETCHED: Final = 0.999
+"""Of the length of a leg: beyond it a knee would snap straight."""
+
+
+def planted_feet(joints: FloatArray, fps: float) -> FloatArray:
+    """The nearby motion whose standing toes do not slide.
+
+    While a foot stands, its toe is held where it was on average; beside a contact the correction fades. The whole foot
+    moves with its toe, the knee bends in its own plane, and all bones keep their length.
+
+    Args:
+        joints: (frames, 22, 3) metres, Y up.
+        fps: frames per second.
+
+    Returns:
+        (frames, 22, 3).
+    """
+    found = joints.astype(np.float64)
+    for hip, knee, ankle, toe in SIDES:
+        shift = _shifts(found[:, toe], fps)
+        if not shift.any():
+            continue
+        new_knee, new_ankle = two_bones(found[:, hip], found[:, knee], found[:, ankle], found[:, ankle] + shift)
+        found[:, toe] += new_ankle - found[:, ankle]
+        found[:, knee], found[:, ankle] = new_knee, new_ankle
+    return found.astype(np.float32)
+
+
+def contacts(toe: Floats, fps: float) -> list[tuple[int, int]]:
+    """First and last frame + 1 of every time a toe (frames, 3) stands."""
+    if len(toe) < 3:
+        return []
+    speed = np.linalg.norm(np.gradient(toe[:, [0, 2]], axis=0), axis=-1) * fps
+    down = (speed < STANDS) & (toe[:, 1] < np.quantile(toe[:, 1], 0.1) + LOW)
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], down, [False]]).astype(int)))
+    runs = zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True)
+    return [(start, end) for start, end in runs if end - start >= SHORTEST_STAND * fps]
+
+
+def two_bones(hip: Floats, knee: Floats, ankle: Floats, goal: Floats) -> tuple[Floats, Floats]:
+    """Knee and ankle (frames, 3) of a leg that reaches for `goal`, bending in the plane in which it is bent.
+
+    The law of cosines; a goal out of reach is approached as far as the leg goes.
+    """
+    upper, lower = np.linalg.norm(knee - hip, axis=-1), np.linalg.norm(ankle - knee, axis=-1)
+    way = goal - hip
+    nearest, furthest = np.abs(upper - lower) + 1e-3, (upper + lower) * STRETCHED
+    # a leg that was stretched further may stay so
+    furthest = np.maximum(furthest, np.minimum(np.linalg.norm(ankle - hip, axis=-1), upper + lower))
+    distance = np.clip(np.linalg.norm(way, axis=-1), nearest, furthest)
+    along = normalised(way)
+    bend = (knee - hip) - ((knee - hip) * along).sum(-1, keepdims=True) * along
+    reach = (upper**2 - lower**2 + distance**2) / (2 * distance)
+    height = np.sqrt(np.maximum(upper**2 - reach**2, 0.0))
+    new_knee = hip + reach[:, None] * along + height[:, None] * normalised(bend)
+    return new_knee, hip + distance[:, None] * along
+
+
+def _shifts(toe: Floats, fps: float) -> Floats:
+    """(frames, 3) over the floor: what holds a toe in its contacts, fading beside them."""
+    runs = contacts(toe, fps)
+    shift, weight = np.zeros_like(toe), np.zeros(len(toe))
+    ramp = max(1, round(RAMP * fps))
+    for start, end in runs:
+        place = np.median(toe[start:end], axis=0)
+        own = place - toe[start:end]
+        own[:, 1] = 0.0
+        own *= np.minimum(1.0, FURTHEST / np.maximum(np.linalg.norm(own, axis=-1, keepdims=True), 1e-9))
+        shift[start:end] = own
+        weight[start:end] = 1.0
+        for step in range(1, ramp + 1):
+            fade = 0.5 + 0.5 * np.cos(np.pi * step / (ramp + 1))
+            for place_in_time, edge in ((start - step, own[0]), (end - 1 + step, own[-1])):
+                if 0 <= place_in_time < len(toe) and weight[place_in_time] < fade:
+                    # between two contacts the nearer one counts
+                    shift[place_in_time] = fade * edge
+                    weight[place_in_time] = fade
+    return shift

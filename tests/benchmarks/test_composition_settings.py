@@ -1,0 +1,72 @@
+"""The table of composing: its pairs are those held out of training, its rows differ, its numbers are rates."""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+import composition_settings as settings
+import numpy as np
+import pytest
+from composed import BESIDE
+from motions import SHARED, walk
+
+
+def test_pairs_are_held_out_of_training_and_can_be_judged() -> None:
+    held_out = SHARED / "data" / "held_out_pairs.json"
+    if not held_out.is_file():
+        pytest.skip("needs the held-out pairs")
+    together = {frozenset(pair) for pair in json.loads(held_out.read_text())["together"]}
+    assert len(set(settings.PAIRS)) == 12
+    for pair in settings.PAIRS:
+        assert frozenset(pair) in together and set(pair) <= BESIDE.keys() & settings.WORDS.keys()
+
+
+class Fake:
+    """Walks always, and raises both hands where the caption asks for it and the seed is even."""
+
+    def __init__(self) -> None:
+        self.asked: list[tuple[Any, ...]] = []
+
+    def generate(self, text: str, *, seconds: float, seed: int) -> Any:
+        self.asked.append((text, seed))
+        return self._clip("raises both hands" in text and seed % 2 == 0)
+
+    def compose(self, concepts: list[Any], *, seed: int, **how: Any) -> Any:
+        self.asked.append((tuple(getattr(each, "weight", 1.0) for each in concepts), seed, *sorted(how.items())))
+        return self._clip(False)
+
+    @staticmethod
+    def _clip(raised: bool) -> Any:
+        joints = walk(40).copy()
+        if raised:
+            joints[:, [20, 21], 1] = 2.5
+        return type("Clip", (), {"joints": joints})
+
+
+class Judge:
+    def motions(self, clips: list[np.ndarray]) -> np.ndarray:
+        return np.random.default_rng(0).normal(size=(len(clips), 4))
+
+
+def test_rates_are_those_of_the_clips(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(settings, "PAIRS", (("walk", "raise-up-both-hands"), ("walk", "wave-right-hand")))
+    pipe: Any = Fake()
+    reference = np.random.default_rng(0).normal(size=(8, 4))
+    found = settings.row(settings.settings()["joint text"], pipe, 4, reference, Judge())  # type: ignore[arg-type]
+    assert found["first"] == 1.0 and found["both"] == 0.25
+    assert found["per_pair"] == {"walk + raise-up-both-hands": 0.5, "walk + wave-right-hand": 0.0}
+    less = settings.negated(pipe, 4, -0.5)
+    assert [one["pair"] for one in less["rows"]] == ["walk + raise-up-both-hands"]
+    assert less["fallen_by"] == 1.0 and less["kept"] == 1.0
+    result = {"model": "m", "seeds": 4, "settings": {"joint text": found}, "negation": {"-0.5": less}}
+    assert "| joint text | 0.250 | 1.000 | 0.250 |" in settings.table(result)
+
+
+def test_every_setting_asks_for_something_else() -> None:
+    asked = set()
+    for make in settings.settings().values():
+        pipe: Any = Fake()
+        make(pipe, settings.PAIRS[0], 3)
+        asked.add(tuple(pipe.asked))
+    assert len(asked) == len(settings.settings())

@@ -1,0 +1,194 @@
+"""GLB and BVH read back by programs that are not ours, and the body that the GLB shows."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import struct
+import subprocess
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from cli_runs import fails
+from motions import recorded, walk
+
+from kinegraph.errors import InvalidInputError
+from kinegraph.formats import encode
+from kinegraph.formats.body import rest_body
+from kinegraph.formats.joint_names import CONVENTIONS
+from kinegraph.motion.clip import Clip
+from kinegraph.motion.rotations import rest_offsets
+from kinegraph.motion.skeleton import JOINT_NAMES, JOINTS, PARENTS
+
+DTYPES = {5126: np.float32, 5121: np.uint8, 5123: np.uint16}
+WIDTHS = {"SCALAR": 1, "VEC3": 3, "VEC4": 4, "MAT4": 16}
+
+
+def clip(joints: np.ndarray, text: str = "a person walks") -> Clip:
+    return Clip(joints=joints, fps=20.0, seed=2**40, text=text, bundle="edge 1.2")
+
+
+def motions() -> list[np.ndarray]:
+    return [walk(50, turning=0.05), *recorded(count=3)]
+
+
+def matrix(translation: np.ndarray, rotation: np.ndarray) -> np.ndarray:
+    """Of a node, from its x, y, z, w quaternion, by the textbook formula."""
+    x, y, z, w = (float(value) for value in rotation)
+    found = np.eye(4)
+    found[:3, :3] = [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+    ]
+    found[:3, 3] = translation
+    return found
+
+
+class Reader:
+    """A GLB as pygltflib sees it, played by the rules of the glTF specification."""
+
+    def __init__(self, data: bytes, folder: Path) -> None:
+        pygltflib = pytest.importorskip("pygltflib")
+        (folder / "clip.glb").write_bytes(data)
+        self.file = pygltflib.GLTF2().load(str(folder / "clip.glb"))
+        self._blob = self.file.binary_blob()
+
+    def array(self, number: int) -> np.ndarray:
+        accessor = self.file.accessors[number]
+        view = self.file.bufferViews[accessor.bufferView]
+        width = WIDTHS[accessor.type]
+        dtype = DTYPES[accessor.componentType]
+        return np.frombuffer(self._blob, dtype, accessor.count * width, view.byteOffset).reshape(accessor.count, width)
+
+    def places(self, frame: int | None) -> dict[int, np.ndarray]:
+        """World matrix of every node at a key, or at rest."""
+        tracks: dict[tuple[int, str], np.ndarray] = {}
+        for channel in self.file.animations[0].channels:
+            sampler = self.file.animations[0].samplers[channel.sampler]
+            tracks[channel.target.node, channel.target.path] = self.array(sampler.output)
+        found: dict[int, np.ndarray] = {}
+
+        def visit(number: int, above: np.ndarray) -> None:
+            node = self.file.nodes[number]
+            own = {"translation": node.translation or [0, 0, 0], "rotation": node.rotation or [0, 0, 0, 1]}
+            for path in own:
+                if frame is not None and (number, path) in tracks:
+                    own[path] = tracks[number, path][frame]
+            found[number] = above @ matrix(own["translation"], own["rotation"])
+            for child in node.children or []:
+                visit(child, found[number])
+
+        for root in self.file.scenes[0].nodes:
+            visit(root, np.eye(4))
+        return found
+
+
+def test_a_reader_of_glb_finds_the_joints_of_the_clip(tmp_path: Path) -> None:
+    for joints in motions():
+        reader = Reader(encode(clip(joints), ".glb"), tmp_path)
+        skin = reader.file.skins[0]
+        for frame in (0, len(joints) // 2, len(joints) - 1):
+            world = reader.places(frame)
+            seen = np.stack([world[node][:3, 3] for node in skin.joints])
+            error = np.linalg.norm(seen - joints[frame], axis=-1)
+            assert error.mean() < 0.005 and error.max() < 0.015
+        times = reader.array(reader.file.animations[0].samplers[0].input)[:, 0]
+        np.testing.assert_allclose(times, np.arange(len(joints)) / 20.0, atol=1e-5)
+
+
+def test_the_skin_leaves_the_rest_pose_as_it_is_and_carries_the_body_along(tmp_path: Path) -> None:
+    joints = walk(40)
+    reader = Reader(encode(clip(joints), ".glb"), tmp_path)
+    part = reader.file.meshes[0].primitives[0].attributes
+    positions, carried = reader.array(part.POSITION), reader.array(part.JOINTS_0)
+    weights = reader.array(part.WEIGHTS_0)
+    np.testing.assert_allclose(weights.sum(axis=1), 1.0)
+    inverse = reader.array(reader.file.skins[0].inverseBindMatrices).reshape(-1, 4, 4).transpose(0, 2, 1)
+    homogeneous = np.column_stack([positions, np.ones(len(positions))])
+    for frame in (None, 20):
+        world = reader.places(frame)
+        bound = np.stack([world[node] for node in reader.file.skins[0].joints]) @ inverse
+        skinned = np.einsum("nij,nj->ni", bound[carried[:, 0]], homogeneous)[:, :3]
+        assert abs(skinned[:, 1].min()) < 0.06 and 1.4 < skinned[:, 1].max() < 2.1
+        for joint in range(JOINTS):
+            own = skinned[carried[:, 0] == joint]
+            if len(own):
+                assert np.linalg.norm(own - world[joint][:3, 3], axis=-1).min() < 0.15
+
+
+def test_the_file_says_where_it_comes_from_and_names_its_joints(tmp_path: Path) -> None:
+    text = "Ein Mensch geht „schnell“ 走る"
+    for names, expected in CONVENTIONS.items():
+        reader = Reader(encode(clip(walk(20), text), ".glb", names), tmp_path)
+        assert tuple(node.name for node in reader.file.nodes[:JOINTS]) == expected
+        assert reader.file.asset.extras == {"text": text, "seed": str(2**40), "bundle": "edge 1.2", "fps": 20.0}
+    assert len({name for names in CONVENTIONS.values() for name in names}) == JOINTS * len(CONVENTIONS)
+
+
+def test_equal_clips_give_equal_bytes_in_whole_chunks() -> None:
+    data = encode(clip(walk(20)), ".glb")
+    assert data == encode(clip(walk(20)), ".glb")
+    magic, version, length = struct.unpack("<4sII", data[:12])
+    assert (magic, version, length) == (b"glTF", 2, len(data))
+    size, kind = struct.unpack("<I4s", data[12:20])
+    document = json.loads(data[20 : 20 + size])
+    assert kind == b"JSON" and size % 4 == 0
+    assert document["buffers"][0]["byteLength"] == len(data) - 28 - size
+
+
+def test_the_body_is_closed_and_its_normals_point_outwards() -> None:
+    offsets = rest_offsets(walk(20))
+    places = np.zeros((JOINTS, 3))
+    for joint in range(1, JOINTS):
+        places[joint] = places[PARENTS[joint]] + offsets[joint]
+    body = rest_body(places)
+    corners = body.positions[body.triangles]
+    facing = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    assert ((facing * body.normals[body.triangles].sum(axis=1)).sum(axis=-1) > 0).all()
+    # the divergence theorem: the enclosed volume is positive, and that of a slim person (limbs overlap)
+    volume = np.einsum("ij,ij->i", corners[:, 0], np.cross(corners[:, 1], corners[:, 2])).sum() / 6
+    assert 0.03 < volume < 0.12
+    np.testing.assert_allclose(np.linalg.norm(body.normals, axis=-1), 1.0)
+
+
+def test_the_validator_of_the_standard_finds_no_fault(tmp_path: Path) -> None:
+    found = os.environ.get("KINEGRAPH_NODE")
+    if shutil.which("node") is None or found is None:
+        pytest.skip("needs node, and KINEGRAPH_NODE, a folder in which gltf-validator was installed with npm")
+    script = (
+        "require('gltf-validator').validateBytes(new Uint8Array(require('fs').readFileSync(process.argv[1])))"
+        ".then(report => console.log(JSON.stringify(report.issues)))"
+    )
+    (tmp_path / "clip.glb").write_bytes(encode(clip(walk(30)), ".glb", "mixamo"))
+    done = subprocess.run(
+        ["node", "-e", script, str(tmp_path / "clip.glb")], cwd=found, capture_output=True, text=True, check=True
+    )
+    issues = json.loads(done.stdout)
+    assert issues["numErrors"] == issues["numWarnings"] == 0, issues
+
+
+def test_a_reader_of_bvh_finds_the_joints_of_the_clip(tmp_path: Path) -> None:
+    pybvh = pytest.importorskip("pybvh")
+    for joints in motions():
+        (tmp_path / "clip.bvh").write_bytes(encode(clip(joints), ".bvh", "smpl"))
+        found = pybvh.read_bvh_file(str(tmp_path / "clip.bvh"))
+        assert found.fps == pytest.approx(20.0)
+        order = [list(found.joint_names).index(name) for name in JOINT_NAMES]
+        seen = np.asarray(found.joint_positions())[:, order] / 100.0
+        error = np.linalg.norm(seen - joints, axis=-1)
+        assert error.mean() < 0.005 and error.max() < 0.015
+
+
+def test_names_are_refused_where_there_are_none(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    own: Any = clip(walk(20))
+    with pytest.raises(InvalidInputError, match="one of smpl, mixamo, not 'unreal'"):
+        own.save(tmp_path / "a.glb", names="unreal")
+    with pytest.raises(InvalidInputError, match=r"are for .bvh, .glb, not for .npz"):
+        own.save(tmp_path / "a.npz", names="mixamo")
+    assert list(tmp_path.iterdir()) == []
+    words = ["generate", "a person walks", "-o", str(tmp_path / "a.npz"), "--names", "mixamo"]
+    assert "not for .npz" in fails(capsys, *words)

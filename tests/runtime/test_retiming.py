@@ -1,0 +1,108 @@
+"""Another frame rate, no travel, no seam."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from cli_runs import fails
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from motions import recorded, walk
+
+from kinegraph import cli
+from kinegraph.bundle import DEFAULT_BUNDLE
+from kinegraph.errors import InvalidInputError
+from kinegraph.motion.clip import Clip
+from kinegraph.motion.retiming import local_poses
+from kinegraph.motion.skeleton import bone_lengths, facing_angle
+
+
+def clip(joints: np.ndarray) -> Clip:
+    return Clip(joints=joints, fps=20.0, seed=1, text="a person walks", bundle="edge 1.2")
+
+
+def motions() -> list[np.ndarray]:
+    return [walk(60, turning=0.03), *recorded(count=4)]
+
+
+@pytest.mark.parametrize("fps", [24, 30, 60, 20, 10])
+def test_known_frames_stay_and_new_ones_lie_between(fps: float) -> None:
+    for joints in motions():
+        found = clip(joints).resampled(fps)
+        assert found.fps == fps and abs(found.duration - len(joints) / 20) <= 0.5 / fps + 1e-9
+        time = np.arange(found.frames) * 20 / fps
+        known = np.flatnonzero((np.abs(time - time.round()) < 1e-9) & (time < len(joints)))
+        np.testing.assert_allclose(found.joints[known], joints[time[known].round().astype(int)], atol=1e-5)
+        # bones keep their length between frames, which a mix of joint positions would shorten
+        seen, own = bone_lengths(found.joints), bone_lengths(joints)
+        assert (seen > own.min(0) - 5e-3).all() and (seen < own.max(0) + 5e-3).all()
+
+
+def test_a_turn_is_made_on_its_arc() -> None:
+    angle = np.array([0.0, 1.2])
+    still = walk(2, speed=0.0)[[0, 0]].astype(np.float64)
+    around = np.stack(
+        [
+            still[k] @ np.array([[np.cos(a), 0, -np.sin(a)], [0, 1, 0], [np.sin(a), 0, np.cos(a)]])
+            for k, a in enumerate(angle)
+        ]
+    )
+    found = clip(around.astype(np.float32)).resampled(40)
+    np.testing.assert_allclose(
+        facing_angle(found.joints[:3]) - facing_angle(found.joints[:1]), [0, 0.6, 1.2], atol=1e-3
+    )
+
+
+@pytest.mark.parametrize("fps", [0, -1, 241, float("nan"), float("inf"), "30", True, None])
+def test_a_frame_rate_that_is_none_is_refused(fps: object) -> None:
+    with pytest.raises(InvalidInputError, match="fps must be 1 to 240"):
+        clip(walk(20)).resampled(fps)  # type: ignore[arg-type]
+
+
+def test_in_place_takes_the_travel_and_nothing_else() -> None:
+    for joints in motions():
+        found = clip(joints).in_place().joints
+        np.testing.assert_allclose(found[:, 0, [0, 2]], np.repeat(joints[:1, 0, [0, 2]], len(joints), 0), atol=1e-6)
+        np.testing.assert_allclose(found[..., 1], joints[..., 1])
+        np.testing.assert_allclose(local_poses(found), local_poses(joints), atol=1e-5)
+
+
+def test_a_loop_comes_back_to_where_it_began() -> None:
+    for joints in motions():
+        found = clip(joints).looped()
+        assert len(joints) / 2 - 1 <= found.frames < len(joints)
+        poses = local_poses(found.joints)
+        seam = np.linalg.norm(poses[0] - poses[-1], axis=-1).mean()
+        steps = np.linalg.norm(np.diff(poses, axis=0), axis=-1).mean(axis=1)
+        assert seam <= 1.5 * np.quantile(steps, 0.95) + 2e-3
+        # before the blend nothing has changed but what fixed bones cannot follow
+        begun = found.frames // 2
+        assert np.linalg.norm(found.joints[:begun] - joints[:begun], axis=-1).mean() < 5e-3
+
+
+@settings(max_examples=20)
+@given(st.integers(8, 60), st.floats(-0.1, 0.1))
+def test_any_clip_can_loop_and_stays_finite(frames: int, turning: float) -> None:
+    found = clip(walk(frames, turning=turning)).looped()
+    assert np.isfinite(found.joints).all() and 4 <= found.frames < frames
+
+
+def test_too_short_a_clip_cannot_loop() -> None:
+    with pytest.raises(InvalidInputError, match="8 frames, this clip has 7"):
+        clip(walk(7)).looped()
+
+
+@pytest.mark.skipif(not (DEFAULT_BUNDLE / "manifest.json").is_file(), reason="no default bundle")
+def test_on_the_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    pytest.importorskip("spacy")
+    words = ["generate", "a person walks", "--steps", "2", "--seconds", "2", "--seed", "1", "--quiet"]
+    plain, other = str(tmp_path / "a.npz"), str(tmp_path / "b.npz")
+    assert cli.main([*words, "-o", plain]) == 0
+    assert cli.main([*words, "--fps", "30", "--in-place", "--loop", "-o", other]) == 0
+    with np.load(plain) as one, np.load(other) as two:
+        own = Clip(one["joints"], 20.0, 1, "a person walks", "b").looped().in_place().resampled(30)
+        np.testing.assert_allclose(two["joints"], own.joints, atol=1e-6)
+        assert two["fps"] == 30 and one["fps"] == 20
+    assert "fps must be 1 to 240" in fails(capsys, *words, "--fps", "0", "-o", str(tmp_path / "c.npz"))

@@ -1,0 +1,79 @@
+"""Several takes of one sentence in one run: each is the clip of its seed."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from cli_runs import fails
+
+from kinegraph import InvalidInputError, MotionPipeline, cli
+from kinegraph.bundle import DEFAULT_BUNDLE
+from kinegraph.edits import with_weight
+from kinegraph.limits import MAX_TAKES
+
+pytestmark = pytest.mark.skipif(not (DEFAULT_BUNDLE / "manifest.json").is_file(), reason="no default bundle")
+pytest.importorskip("spacy")
+
+FEW: dict[str, Any] = {"steps": (2, 2, 3), "seconds": 1.5}
+WALK = "a person walks forward"
+
+
+@pytest.fixture(scope="module")
+def pipe() -> MotionPipeline:
+    return MotionPipeline.load(threads=1)
+
+
+def test_a_take_is_the_clip_of_its_seed(pipe: MotionPipeline) -> None:
+    clips = pipe.takes(WALK, 4, seed=11, **FEW)
+    assert [clip.seed for clip in clips] == [11, 12, 13, 14]
+    for clip in clips:
+        alone = pipe.generate(WALK, seed=clip.seed, **FEW)
+        np.testing.assert_allclose(clip.joints, alone.joints, atol=1e-4)
+        assert (clip.text, clip.fps, clip.bundle) == (alone.text, alone.fps, alone.bundle)
+    assert np.abs(clips[0].joints - clips[1].joints).max() > 1e-3
+
+
+def test_takes_share_the_runs_of_the_models(pipe: MotionPipeline) -> None:
+    counts = []
+    for number in (1, 5):
+        seen: list[object] = []
+        pipe.takes(WALK, number, seed=1, on_step=lambda info, seen=seen: bool(seen.append(info)) or True, **FEW)
+        counts.append(len(seen))
+    assert counts == [7, 7]
+
+
+def test_without_seconds_all_takes_are_as_long_as_the_sentence_wants(pipe: MotionPipeline) -> None:
+    clips = pipe.takes(WALK, 2, seed=3, steps=(2, 2, 3))
+    alone = pipe.generate(WALK, seed=3, steps=(2, 2, 3))
+    assert {clip.frames for clip in clips} == {alone.frames}
+
+
+@pytest.mark.parametrize("count", [0, -1, MAX_TAKES + 1, 1.5, True, "3", None])
+def test_a_wrong_count_is_refused(pipe: MotionPipeline, count: Any) -> None:
+    with pytest.raises(InvalidInputError, match=f"from 1 to {MAX_TAKES}"):
+        pipe.takes(WALK, count)
+
+
+def test_seeds_beyond_the_last_and_weighted_graphs_are_refused(pipe: MotionPipeline) -> None:
+    with pytest.raises(InvalidInputError, match="seed must be"):
+        pipe.takes(WALK, 2, seed=2**63 - 1)
+    with pytest.raises(InvalidInputError, match="weigh"):
+        pipe.takes(with_weight(pipe.parse(WALK), "walks", 2.0), 2)
+
+
+@pytest.mark.parametrize("edit", [[], ["--weight", "forward=2"]])
+def test_on_the_command_line(edit: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    words = ["generate", WALK, *edit, "--steps", "2", "--seconds", "1", "--seed", "5", "--json"]
+    assert cli.main([*words, "--takes", "10", "-o", str(tmp_path / "walk.npz")]) == 0
+    records = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    assert [Path(record["file"]).name for record in records] == [f"walk_{take:02}.npz" for take in range(1, 11)]
+    assert [record["seed"] for record in records] == list(range(5, 15))
+    assert sorted(path.name for path in tmp_path.iterdir()) == [Path(record["file"]).name for record in records]
+    with np.load(tmp_path / "walk_10.npz") as last:
+        assert last["seed"] == 14
+    assert "walk_01.npz' exists" in fails(capsys, *words, "--takes", "10", "-o", str(tmp_path / "walk.npz"))
+    assert "takes must be" in fails(capsys, *words, "--takes", "0", "-o", str(tmp_path / "other.npz"))
