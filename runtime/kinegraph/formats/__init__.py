@@ -16,6 +16,7 @@ if TYPE_CHECKING:
 
 WRITERS: Final[dict[str, str]] = {
     ".bvh": "kinegraph.formats.bvh",
+    ".gif": "kinegraph.formats.gif",
     ".glb": "kinegraph.formats.glb",
     ".npz": "kinegraph.formats.npz",
     ".png": "kinegraph.formats.png",
@@ -25,7 +26,7 @@ WRITERS: Final[dict[str, str]] = {
 NAMED: Final = frozenset((".bvh", ".glb"))
 """Formats whose joints are named by convention."""
 
-_NEEDS: Final[dict[str, tuple[str, str]]] = {".png": ("matplotlib", "plot")}
+_NEEDS: Final[dict[str, tuple[str, str]]] = {".gif": ("PIL", "plot"), ".png": ("matplotlib", "plot")}
 """Suffix -> package beyond numpy that its writer needs, and the extra that installs it."""
 
 
