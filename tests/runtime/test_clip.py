@@ -80,8 +80,8 @@ def test_refuses(changes: dict[str, object], message: str) -> None:
 
 @pytest.mark.parametrize("suffix", sorted(WRITERS))
 def test_saves_by_suffix_and_leaves_nothing_else(tmp_path: Path, suffix: str) -> None:
-    if suffix == ".png":
-        pytest.importorskip("matplotlib")
+    if suffix in (".gif", ".png"):
+        pytest.importorskip({".gif": "PIL", ".png": "matplotlib"}[suffix])
     clip().save(tmp_path / f"walk{suffix}")
     clip().save(str(tmp_path / f"again{suffix.upper()}"))
     assert sorted(path.name for path in tmp_path.iterdir()) == sorted([f"again{suffix.upper()}", f"walk{suffix}"])
