@@ -12,7 +12,6 @@ from __future__ import annotations
 import argparse
 import json
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -22,12 +21,11 @@ from evaluate import SPLITS, Plan, long_enough, model_of, ratio
 from takes import Model, folder_of, generated
 
 from kinegraph.bundle import DEFAULT_BUNDLE
-from kinegraph.graph import Argument, SemanticGraph
+from kinegraph.edits import masked
+from kinegraph.graph import SemanticGraph
 from kinegraph.text.parser import GraphParser
 from kinegraph_training.data import MotionClip, read_split
 
-MASK = "[MASK]"
-"""Of the tokenizer; a bundle says the same in its manifest."""
 PREDICATES: dict[str, p.Predicate] = {
     **{f"walk-turn-{side}": p.turns(side) for side in ("left", "right")},
     **{f"{verb}-{side}-hand": p.swings(side) for verb in ("raise-up", "wave") for side in ("left", "right")},
@@ -35,30 +33,11 @@ PREDICATES: dict[str, p.Predicate] = {
 }
 
 
-def without_verbs(graph: SemanticGraph, mask: str = MASK) -> SemanticGraph:
-    """The graph of the same caption with `mask` in place of every action's text; all nodes and edges stay."""
-    verbs = sorted({(action.start, action.end) for action in graph.actions})
-    pieces, places, done = [], {}, 0
-    for start, end in verbs:
-        pieces.append(graph.caption[done:start])
-        places[start] = sum(map(len, pieces))
-        pieces.append(mask)
-        done = end
-    caption = "".join(pieces) + graph.caption[done:]
-
-    def moved(place: int) -> int:
-        return place + sum(len(mask) - (end - start) for start, end in verbs if end <= place)
-
-    def specific(part: Argument) -> Argument:
-        start, end = moved(part.start), moved(part.end)
-        return replace(part, start=start, end=end, text=caption[start:end])
-
-    actions = []
-    for action in graph.actions:
-        start = places[action.start]
-        arguments = tuple(specific(part) for part in action.arguments)
-        actions.append(replace(action, start=start, end=start + len(mask), text=mask, arguments=arguments))
-    return SemanticGraph(caption, tuple(actions))
+def without_verbs(graph: SemanticGraph) -> SemanticGraph:
+    """The graph of the same caption with every action's text masked; all nodes and edges stay."""
+    for number in range(1, len(graph.actions) + 1):
+        graph = masked(graph, number)
+    return graph
 
 
 class Masked:

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from kinegraph.formats.png import VIEW
-from kinegraph.motion.skeleton import JOINT_INDEX, JOINT_NAMES, PARENTS, FloatArray
+from kinegraph.formats.png import FAINT, MIDDLE, VIEW, colour_of
+from kinegraph.motion.skeleton import JOINT_INDEX, PARENTS, FloatArray
 
 if TYPE_CHECKING:
     from kinegraph.motion.clip import Clip
@@ -21,7 +21,6 @@ FLOOR: Final = 320.0
 """Pixels from the top to y = 0."""
 MOST_FPS: Final = 50.0
 """What viewers of GIF show at most; a clip of more frames per second is thinned."""
-_LEFT, _RIGHT, _MIDDLE, _FAINT = (194, 65, 12), (29, 78, 216), (63, 63, 70), (212, 212, 216)
 _SHARP: Final = 2
 """Drawn so many times larger and scaled down: lines without steps."""
 
@@ -54,17 +53,15 @@ def _frame(pose: FloatArray) -> Any:
     x = (SIZE[0] / 2 + METRE * (across - across[0])) * _SHARP
     y = (FLOOR - METRE * pose[:, 1]) * _SHARP
     ground = FLOOR * _SHARP
-    draw.line([(0, ground), (image.width, ground)], fill=_FAINT, width=2 * _SHARP)
+    draw.line([(0, ground), (image.width, ground)], fill=FAINT, width=2 * _SHARP)
     for mark in range(int(np.floor(across[0])) - 2, int(np.ceil(across[0])) + 3):
         place = (SIZE[0] / 2 + METRE * (mark - across[0])) * _SHARP
-        draw.line([(place, ground), (place - 12 * _SHARP, ground + 14 * _SHARP)], fill=_FAINT, width=2 * _SHARP)
+        draw.line([(place, ground), (place - 12 * _SHARP, ground + 14 * _SHARP)], fill=FAINT, width=2 * _SHARP)
     for child, parent in enumerate(PARENTS):
         if parent >= 0:
-            name = JOINT_NAMES[child]
-            colour = _LEFT if name.startswith("left") else _RIGHT if name.startswith("right") else _MIDDLE
             ends = [(float(x[joint]), float(y[joint])) for joint in (parent, child)]
-            draw.line(ends, fill=colour, width=5 * _SHARP, joint="curve")
+            draw.line(ends, fill=colour_of(child), width=5 * _SHARP, joint="curve")
     head, radius = JOINT_INDEX["head"], 0.09 * METRE * _SHARP
     middle = (float(x[head]), float(y[head]) - 0.6 * radius)
-    draw.ellipse([(middle[0] - radius, middle[1] - radius), (middle[0] + radius, middle[1] + radius)], fill=_MIDDLE)
+    draw.ellipse([(middle[0] - radius, middle[1] - radius), (middle[0] + radius, middle[1] + radius)], fill=MIDDLE)
     return image.resize(SIZE, Image.Resampling.LANCZOS)
