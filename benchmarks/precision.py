@@ -21,10 +21,11 @@ from numpy.typing import NDArray
 from recogniser import Recogniser
 from scores import Judges, Reference, scores, summarised
 from takes import BundleModel, folder_of, generated
-from timing import in_one_process, machine, summary
+from timing import in_one_process, summary
 from written import written
 
 from kinegraph import MotionPipeline
+from kinegraph.bench import machine
 from kinegraph.motion.skeleton import bone_lengths
 from kinegraph_training.data import MotionClip, read_split
 

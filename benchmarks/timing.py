@@ -2,17 +2,10 @@
 
 from __future__ import annotations
 
-import os
-import platform
 import time
 from collections.abc import Callable, Mapping
-from pathlib import Path
-from typing import Any
 
 import numpy as np
-import onnxruntime
-
-import kinegraph
 
 Arm = Callable[[], object]
 
@@ -44,30 +37,3 @@ def summary(times: Mapping[str, list[float]], against: str | None = None) -> str
         cells = f"| {name} | {np.median(values):.1f} | {min(values):.1f} | {np.percentile(values, 95):.1f} |"
         lines.append(cells + (f" {min(times[against]) / min(values):.2f} |" if against else ""))
     return "\n".join(lines)
-
-
-def machine() -> dict[str, Any]:
-    """What the times depend on."""
-    found: dict[str, Any] = {
-        "cpu": _cpu(),
-        "cpus": len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count(),
-        "system": f"{platform.system()} {platform.machine()}",
-        "python": platform.python_version(),
-        "kinegraph": kinegraph.__version__,
-        "numpy": np.__version__,
-        "onnxruntime": onnxruntime.__version__,
-    }
-    if hasattr(os, "getloadavg"):
-        found["load"] = [round(value, 2) for value in os.getloadavg()]
-    governor = Path("/sys/devices/system/cpu/cpu0/cpufreq/scaling_governor")
-    found["governor"] = governor.read_text().strip() if governor.is_file() else "not told"
-    return found
-
-
-def _cpu() -> str:
-    cpuinfo = Path("/proc/cpuinfo")
-    if cpuinfo.is_file():
-        for line in cpuinfo.read_text().splitlines():
-            if line.startswith("model name"):
-                return line.split(":", 1)[1].strip()
-    return platform.processor() or "unknown"

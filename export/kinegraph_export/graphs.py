@@ -17,7 +17,7 @@ from kinegraph_export.fused import fused
 from kinegraph_export.modules import ClockGraph, ContextGraph, DecoderGraph, MotionContextGraph, StepGraph
 from kinegraph_export.onnx_export import halved_weights, serialised, stripped, to_onnx
 from kinegraph_export.parity import Draw, max_difference, module_arguments, relative_error
-from kinegraph_export.quantise import dynamic_int8
+from kinegraph_export.quantise import dynamic_int8, optimised
 from kinegraph_training.models.hierarchy import Hierarchy
 from kinegraph_training.models.vae import MotionVae
 
@@ -146,7 +146,7 @@ def export_graph(
     data = serialised(halved_weights(copy.deepcopy(model)))
     parity = {contract.name: max_difference(data, module, contract, draw)}
     if precision == "int8" and not contract.name.startswith(KEPT_IN_FLOAT):
-        data = serialised(halved_weights(stripped(dynamic_int8(model))))
+        data = serialised(halved_weights(stripped(optimised(dynamic_int8(model)))))
         parity[f"int8_{contract.name}"] = relative_error(data, module, contract, draw)
     return data, parity
 

@@ -1,7 +1,4 @@
-"""float32 graphs -> int8: weights once, at export; activations at every run, with one scale per tensor.
-
-onnxruntime makes MatMulInteger and its neighbours one DynamicQuantizeMatMul when it loads the graph.
-"""
+"""float32 graphs -> int8: weights once, at export; activations at every run, with one scale per tensor."""
 
 from __future__ import annotations
 
@@ -11,7 +8,10 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import onnx
+import onnxruntime
 from onnxruntime.quantization import QuantType, quantize_dynamic
+
+from kinegraph.sessions import DISABLED_OPTIMIZERS
 
 MATRIX_PRODUCTS = ("MatMul", "Attention")
 
@@ -42,4 +42,23 @@ def dynamic_int8(model: onnx.ModelProto, operators: Sequence[str] = MATRIX_PRODU
             )
         finally:
             logging.disable(logging.NOTSET)
+        return onnx.load(target)
+
+
+def optimised(model: onnx.ModelProto) -> onnx.ModelProto:
+    """As onnxruntime would have it after loading: DynamicQuantizeMatMul in place of five nodes, constants folded.
+
+    Done at export, a step's session is made in a third of the time. Only rewrites that hold on every CPU.
+    """
+    options = onnxruntime.SessionOptions()
+    options.graph_optimization_level = onnxruntime.GraphOptimizationLevel.ORT_ENABLE_EXTENDED
+    with tempfile.TemporaryDirectory() as folder:
+        target = Path(folder) / "optimised.onnx"
+        options.optimized_model_filepath = str(target)
+        onnxruntime.InferenceSession(
+            model.SerializeToString(),
+            options,
+            providers=["CPUExecutionProvider"],
+            disabled_optimizers=DISABLED_OPTIMIZERS,
+        )
         return onnx.load(target)

@@ -77,9 +77,11 @@ class MotionPipeline:
             InvalidInputError: `threads` is out of range.
         """
         bundle = read_bundle(None if path is None else Path(path))
-        sessions = open_sessions(bundle, threads=threads, options=session_options)
-        tokenizer = CaptionTokenizer(bundle.files["tokenizer.json"])
-        return cls(bundle.manifest, sessions, tokenizer, bundle.tables, LazyParser(bundle.files.get("parser.bin")))
+        files = dict(bundle.files)
+        bundle = replace(bundle, files={})  # so that only `files` holds the bytes, and a session's go when it is made
+        sessions = open_sessions(bundle, threads=threads, options=session_options, files=files)
+        tokenizer = CaptionTokenizer(files["tokenizer.json"])
+        return cls(bundle.manifest, sessions, tokenizer, bundle.tables, LazyParser(files.get("parser.bin")))
 
     def parse(self, text: str) -> SemanticGraph:
         """The semantic graph of a sentence: look at it, edit it, hand it back to `generate`.
