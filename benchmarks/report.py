@@ -3,7 +3,7 @@
     python benchmarks/report.py --results benchmarks/results
 
 Reads bench.json (of `kinegraph bench`), latency.json, scaling.json, neighbours.json, low_power.json and precision.json
-of a folder; what is missing is left out. Ratios are of minima of one process, arms taking turns. A quick run is refused.
+of a folder; what is missing is left out. Ratios are of minima of one process, arms taking turns. Refuses quick runs.
 """
 
 from __future__ import annotations
