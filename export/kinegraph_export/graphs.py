@@ -2,22 +2,42 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 
 import numpy as np
 import torch
 from torch import nn
 
-from kinegraph.contract import LEVELS, NODE_KINDS, GraphContract, LevelSpec, contracts
+from kinegraph.contract import COARSE_DECODERS, LEVELS, NODE_KINDS, GraphContract, LevelSpec, contracts
 from kinegraph.errors import InvalidInputError
-from kinegraph_export.modules import ClockGraph, ContextGraph, DecoderGraph, MotionContextGraph, StepGraph
+from kinegraph_export.modules import (
+    ClockGraph,
+    CoarseDecoderGraph,
+    ContextGraph,
+    DecoderGraph,
+    MotionContextGraph,
+    StepGraph,
+)
 from kinegraph_export.onnx_export import halved_weights, serialised, to_onnx
 from kinegraph_export.parity import max_difference, module_arguments
 from kinegraph_training.models.hierarchy import Hierarchy
 from kinegraph_training.models.vae import MotionVae
 
 Inputs = Callable[[np.random.Generator], dict[str, np.ndarray]]
+
+
+@dataclass(frozen=True)
+class CoarseDecoder:
+    """The autoencoder of a coarser level, in the terms of the specific level's features."""
+
+    vae: MotionVae
+    centre: torch.Tensor
+    scale: torch.Tensor
+    """(c, z) standardisation of the level's latent."""
+    gain: torch.Tensor
+    shift: torch.Tensor
+    """(features,) `decoded * gain + shift` is normalised as the specific level's features are."""
 
 
 @dataclass(frozen=True)
@@ -30,6 +50,8 @@ class Trained:
     centre: torch.Tensor
     scale: torch.Tensor
     """(c, z) standardisation of the specific level's latent."""
+    coarse: Mapping[str, CoarseDecoder] = field(default_factory=dict)
+    """By level, as far as the run tells how their latents were standardised."""
 
 
 def check_exportable(trained: Trained) -> None:
@@ -68,6 +90,8 @@ def graph_modules(trained: Trained) -> dict[str, nn.Module]:
         modules[f"clock_{level}"] = ClockGraph(denoiser.clock)
         modules[f"step_{level}"] = StepGraph(denoiser.step)
     modules["decoder"] = DecoderGraph(trained.vae, trained.centre, trained.scale)
+    for level, own in trained.coarse.items():
+        modules[COARSE_DECODERS[level]] = CoarseDecoderGraph(own.vae, own.centre, own.scale, own.gain, own.shift)
     return {name: module.eval() for name, module in modules.items()}
 
 

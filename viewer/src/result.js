@@ -6,13 +6,12 @@ import { linkOf } from "./link.js";
 
 export function createResult(box, play, fail) {
   const [names, link] = [".names select", ".link"].map((name) => box.querySelector(name));
-  let npz = null;
   let wish = null;
 
   async function download(suffix) {
     try {
       const named = play.named.includes(suffix) ? names.value : "smpl";
-      const url = URL.createObjectURL(await api.file(npz, suffix, named));
+      const url = URL.createObjectURL(await api.file(wish, suffix, named));
       element("a", { href: url, download: `clip${suffix}` }).click();
       setTimeout(() => URL.revokeObjectURL(url), 10_000);
       fail(null);
@@ -37,7 +36,6 @@ export function createResult(box, play, fail) {
   return {
     /** made: the server's event; asked: the wish with the clip's seed; waited: milliseconds since the button. */
     show(made, asked, waited) {
-      npz = Uint8Array.from(atob(made.npz), (letter) => letter.charCodeAt(0));
       wish = asked;
       box.hidden = false;
       box.querySelector(".facts").textContent = facts(made.clip);

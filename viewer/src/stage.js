@@ -1,7 +1,7 @@
 // What is drawn: a pane for each clip, all seen from the same side, each following its own root.
 import {
-  Color, DirectionalLight, Fog, GridHelper, HemisphereLight, Mesh, PCFShadowMap, PerspectiveCamera, PlaneGeometry,
-  Scene, ShadowMaterial, Spherical, Vector3, WebGLRenderer,
+  BufferGeometry, Color, DirectionalLight, Float32BufferAttribute, Fog, HemisphereLight, LineBasicMaterial, LineSegments,
+  Mesh, PCFShadowMap, PerspectiveCamera, PlaneGeometry, Scene, ShadowMaterial, Spherical, Vector3, WebGLRenderer,
 } from "three";
 import { OrbitControls } from "three/addons/controls/OrbitControls.js";
 
@@ -9,6 +9,17 @@ const EYE = new Spherical(4.1, 1.36, 0.62); // metres, radians: from the front, 
 const HEIGHT = 0.92; // of what the camera looks at
 const TURN = 0.12; // radians per key
 const FLOOR = 40; // metres
+
+/** Lines a metre apart, cut into metres: lines that begin behind the camera are not drawn everywhere. */
+function squares() {
+  const corners = [];
+  for (let x = -FLOOR / 2; x <= FLOOR / 2; x++) {
+    for (let z = -FLOOR / 2; z < FLOOR / 2; z++) corners.push(x, 0, z, x, 0, z + 1, z, 0, x, z + 1, 0, x);
+  }
+  return new BufferGeometry().setAttribute("position", new Float32BufferAttribute(corners, 3));
+}
+
+const SQUARES = squares();
 
 function createPane(actor) {
   const scene = new Scene();
@@ -18,11 +29,12 @@ function createPane(actor) {
   Object.assign(sun.shadow.camera, { left: -2, right: 2, top: 2.4, bottom: -2, near: 1, far: 14 });
   sun.shadow.radius = 5;
   sun.shadow.normalBias = 0.02;
-  const floor = new Mesh(new PlaneGeometry(FLOOR, FLOOR).rotateX(-Math.PI / 2), new ShadowMaterial({ opacity: 0.26 }));
+  const floor = new Mesh(new PlaneGeometry(FLOOR, FLOOR).rotateX(-Math.PI / 2), new ShadowMaterial({ depthWrite: false }));
   floor.receiveShadow = true;
-  scene.add(new HemisphereLight(0xffffff, 0x8d95a5, 1.5), sun, sun.target, floor);
+  const grid = new LineSegments(SQUARES, new LineBasicMaterial());
+  scene.add(new HemisphereLight(0xffffff, 0x8d95a5, 1.5), sun, sun.target, grid, floor);
   if (actor) scene.add(actor.model, actor.trail.whole, actor.trail.past);
-  return { scene, sun, floor, actor, camera: new PerspectiveCamera(34, 1, 0.1, 60), grid: null };
+  return { scene, sun, floor, actor, camera: new PerspectiveCamera(34, 1, 0.1, 60), grid };
 }
 
 /** Columns that leave panes closest to a standing person's shape. */
@@ -88,9 +100,7 @@ export function createStage(view) {
       pane.scene.background = colour("--stage");
       pane.scene.fog = new Fog(colour("--stage"), 8, 20);
       pane.floor.material.opacity = Number(style.getPropertyValue("--shadow"));
-      if (pane.grid) pane.scene.remove(pane.grid);
-      pane.grid = new GridHelper(FLOOR, FLOOR, colour("--grid"), colour("--grid"));
-      pane.scene.add(pane.grid);
+      pane.grid.material.color = colour("--grid");
       if (!pane.actor) continue;
       pane.actor.body.material.color = colour(pane.actor.clip.level ? "--sketch" : "--body");
       for (const band of [pane.actor.trail.whole, pane.actor.trail.past]) band.material.color = colour("--accent");

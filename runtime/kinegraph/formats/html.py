@@ -13,6 +13,7 @@ import html
 import json
 import re
 from collections.abc import Sequence
+from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -52,21 +53,29 @@ def record(clip: Clip) -> dict[str, Any]:
 
 def document(title: str, data: object, connect: str = "'none'") -> bytes:
     """The page with what its script reads; `connect` is where that may send requests to."""
-    script, style = ((PARTS / name).read_text(encoding="utf-8") for name in ("viewer.js", "viewer.css"))
     parts = {
         "title": html.escape(title[:200]),
-        "policy": policy(script, style, connect),
-        "style": style,
+        "policy": policy(connect),
+        "style": _part("viewer.css"),
         # "<" would let a caption close the element it stands in.
         "data": json.dumps(data, ensure_ascii=False, separators=(",", ":")).replace("<", "\\u003c"),
-        "script": script,
+        "script": _part("viewer.js"),
     }
-    template = (PARTS / "page.html").read_text(encoding="utf-8")
-    return re.sub(r"{{(\w+)}}", lambda found: parts[found[1]], template).encode()
+    return re.sub(r"{{(\w+)}}", lambda found: parts[found[1]], _part("page.html")).encode()
 
 
-def policy(script: str, style: str, connect: str) -> str:
-    """The content security policy of a page with this script and this style, and nothing from elsewhere."""
-    own = (base64.b64encode(hashlib.sha256(text.encode()).digest()).decode("ascii") for text in (script, style))
-    allowed = "script-src 'sha256-{}'; style-src 'sha256-{}'".format(*own)
-    return f"default-src 'none'; {allowed}; img-src data:; connect-src {connect}; base-uri 'none'; form-action 'none'"
+def policy(connect: str) -> str:
+    """The content security policy of a page: its own script and style, and nothing from elsewhere."""
+    script, style = (
+        base64.b64encode(hashlib.sha256(_part(name).encode()).digest()).decode("ascii")
+        for name in ("viewer.js", "viewer.css")
+    )
+    return (
+        f"default-src 'none'; script-src 'sha256-{script}'; style-src 'sha256-{style}'; img-src data:; "
+        f"connect-src {connect}; base-uri 'none'; form-action 'none'"
+    )
+
+
+@cache
+def _part(name: str) -> str:
+    return (PARTS / name).read_text(encoding="utf-8")
