@@ -14,7 +14,7 @@ export function describeClips(side, clips) {
     const box = element("section", { class: "clip" }, element("h2", {}, clip.text), element("p", { class: "facts" }, facts(clip)));
     if (clip.graph) {
       const graph = element("div", { class: "graph" });
-      drawGraph(graph, clip.graph);
+      drawGraph(graph, clip.graph, clip.text);
       box.append(graph);
     }
     side.append(box);

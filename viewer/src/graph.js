@@ -26,9 +26,10 @@ export function isPlain(graph) {
 
 /**
  * Draw a graph into a box.
+ * @param title what stands above it already; the graph's own words only stand there where they differ
  * @param edit {weigh(number, weight), change(edit), roles} where it can be edited; an edit is what /api/edit takes.
  */
-export function drawGraph(box, graph, edit = null) {
+export function drawGraph(box, graph, title, edit = null) {
   const nodes = nodesOf(graph);
   const list = element("ul", {});
   for (const action of graph.actions) {
@@ -41,7 +42,8 @@ export function drawGraph(box, graph, edit = null) {
     list.append(element("li", {}, row(action, number, "action", edit), parts));
   }
   if (edit) list.append(element("li", { class: "add" }, adder("Add an action", edit, { kind: "action" })));
-  box.replaceChildren(element("p", { class: "caption" }, words(graph.caption)), list);
+  const caption = graph.caption === title ? [] : [element("p", { class: "caption" }, words(graph.caption))];
+  box.replaceChildren(...caption, list);
 }
 
 /** Words, hidden ones as a block. */
@@ -65,9 +67,9 @@ function row(node, number, role, edit) {
   });
   const button = (kind, sign, say) =>
     element("button", { type: "button", class: "quiet", title: say, "aria-label": say, onclick: () => edit.change({ kind, node: number }) }, sign);
-  const hide = node.text.includes(MASK) ? [] : [button("mask", "hide", `Hide the words ${node.text}`)];
+  const hide = node.text.includes(MASK) ? [] : [button("mask", "∅", `Hide the words ${node.text}`)];
   const buttons = element("span", { class: "buttons" }, ...hide, button("drop", "✕", `Delete ${node.text}`));
-  return element("div", { class: "node edit" }, ...head, buttons, slider, weight);
+  return element("div", { class: "node edit" }, ...head, slider, weight, buttons);
 }
 
 function shown(weight) {

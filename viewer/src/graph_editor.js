@@ -21,7 +21,7 @@ export function createGraphEditor(side, text, play, { again, fail }) {
     edited = changed;
     reset.hidden = !edited;
     section.hidden = !shown || !graph;
-    if (graph) drawGraph(box, graph, { weigh, change, roles: play.roles });
+    if (graph) drawGraph(box, graph, source, { weigh, change, roles: play.roles });
   }
 
   function weigh(number, weight) {

@@ -5,7 +5,7 @@ import { element } from "./elements.js";
 import { linkOf } from "./link.js";
 
 export function createResult(box, play, fail) {
-  const [names, link] = [".names select", ".link"].map((name) => box.querySelector(name));
+  const [names, link] = [".names", ".link"].map((name) => box.querySelector(name));
   let wish = null;
 
   async function download(suffix) {
@@ -30,7 +30,7 @@ export function createResult(box, play, fail) {
     history.replaceState(null, "", url);
     await navigator.clipboard?.writeText(url).catch(() => {}); // without the right to, it stands in the address bar
     link.textContent = "Copied";
-    setTimeout(() => (link.textContent = "Copy link"), 1500);
+    setTimeout(() => (link.textContent = "Link"), 1500);
   });
 
   return {
@@ -39,9 +39,9 @@ export function createResult(box, play, fail) {
       wish = asked;
       box.hidden = false;
       box.querySelector(".facts").textContent = facts(made.clip);
-      const rows = [...Object.entries(made.stages), ["until it is seen", waited]];
+      const rows = [...Object.entries(made.stages), ["until seen", waited]];
       box.querySelector(".stages").replaceChildren(
-        ...rows.flatMap(([stage, ms]) => [element("dt", {}, stage), element("dd", {}, `${ms.toFixed(0)} ms`)]),
+        ...rows.map(([stage, ms]) => element("div", {}, element("dt", {}, stage), element("dd", {}, `${ms.toFixed(0)} ms`))),
       );
     },
   };

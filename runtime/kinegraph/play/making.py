@@ -21,7 +21,7 @@ Tell = Callable[[dict[str, Any]], None]
 STEP_PAUSE: Final = 0.04
 """Seconds between two events of steps: more often nobody sees them."""
 
-STAGES: Final = {"motion": "text, motion level", "action": "action level", "specific": "specific level"}
+STAGES: Final = {"motion": "text and motion", "action": "action", "specific": "specific"}
 """Level -> what the time until its last step went into: sentences are encoded before the first."""
 
 
