@@ -17,10 +17,9 @@ from starlette.routing import Route
 from kinegraph.errors import InvalidInputError, KinegraphError
 from kinegraph.formats import NAMED, encode
 from kinegraph.formats.html import document, policy
-from kinegraph.motion.clip import Clip
 from kinegraph.pipeline import MotionPipeline
 from kinegraph.play.guard import Guard
-from kinegraph.play.making import Making
+from kinegraph.play.making import Making, make
 from kinegraph.play.turns import TooBusyError, Turns
 from kinegraph.play.wishes import Wish, caption_of, edited_graph, parse_json, wish_of
 from kinegraph.text.roles import ARGUMENT_ROLES
@@ -65,6 +64,7 @@ class Playground:
     async def clip(self, request: Request) -> Response:
         """A wish -> events as JSON lines: queued, graph, step, level, clip or error; a reader who leaves stops it."""
         wish, tab = wish_of(parse_json(await request.body())), _tab(request)
+        self._clips.check_room(tab)
         return StreamingResponse(self._events(wish, tab), media_type="application/x-ndjson")
 
     async def file(self, request: Request) -> Response:
@@ -79,11 +79,11 @@ class Playground:
         if "seed" not in wish.sampling:
             raise InvalidInputError("a file needs the seed of its clip: without one it would be another clip")
 
-        def make(stop: threading.Event) -> bytes:
-            return encode(Making(self._pipeline, wish, lambda _: None, stop).run(), suffix, str(names))
+        def made(stop: threading.Event) -> bytes:
+            return encode(make(self._pipeline, wish, lambda _: not stop.is_set()), suffix, str(names))
 
         async with self._clips.turn(_tab(request)):
-            data = await _in_thread(make)
+            data = await _in_thread(made)
         return Response(data, media_type=FILES[suffix])
 
     async def _events(self, wish: Wish, tab: str) -> AsyncIterator[str]:
@@ -101,13 +101,10 @@ class Playground:
         def tell(event: dict[str, Any] | None) -> None:
             loop.call_soon_threadsafe(events.put_nowait, event)
 
-        def make(stop: threading.Event) -> Clip:
-            return Making(self._pipeline, wish, tell, stop).run()
-
         events.put_nowait({"event": "queued", "ahead": self._clips.ahead(tab)})
         try:
             async with self._clips.turn(tab):
-                await _in_thread(make)
+                await _in_thread(lambda stop: Making(self._pipeline, wish, tell, stop).run())
         except KinegraphError as error:
             tell({"event": "error", "message": str(error)})
         finally:

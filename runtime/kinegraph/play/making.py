@@ -5,14 +5,14 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Final
 
-from kinegraph.diffusion.sampler import StepInfo
+from kinegraph.diffusion.sampler import OnStep, StepInfo
 from kinegraph.formats.html import record
 from kinegraph.graph import SemanticGraph
 from kinegraph.motion.clip import Clip
-from kinegraph.pipeline import MotionPipeline
+from kinegraph.pipeline import MotionPipeline, OnLevel
 from kinegraph.play.wishes import Wish
 
 Tell = Callable[[dict[str, Any]], None]
@@ -25,9 +25,20 @@ STAGES: Final = {"motion": "text and motion", "action": "action", "specific": "s
 """Level -> what the time until its last step went into: sentences are encoded before the first."""
 
 
+def make(pipeline: MotionPipeline, wish: Wish, on_step: OnStep, on_level: OnLevel | None = None) -> Clip:
+    """The clip of a wish: what the command line makes of the same arguments.
+
+    Raises:
+        KinegraphError: as `MotionPipeline.generate` and `compose`.
+    """
+    if wish.concepts:
+        return pipeline.compose(wish.concepts, method=wish.method, on_step=on_step, on_level=on_level, **wish.sampling)
+    return pipeline.generate(wish.text or "", on_step=on_step, on_level=on_level, **wish.sampling)
+
+
 @dataclass
 class Making:
-    """One clip in the making."""
+    """One clip in the making, told step by step."""
 
     pipeline: MotionPipeline
     wish: Wish
@@ -39,34 +50,24 @@ class Making:
     _since: float = 0.0
     _told: float = 0.0
 
-    def run(self) -> Clip:
-        """The clip; its events have been told, the last one too.
+    def run(self) -> None:
+        """Make it; the last event holds the clip.
 
         Raises:
-            KinegraphError: as `MotionPipeline.generate` and `compose`; `Cancelled` after `stop`.
+            KinegraphError: as `make`; `Cancelled` after `stop`.
         """
         self._since = time.perf_counter()
-        wish, step, level = self.wish, self._step, self._level
-        if wish.concepts:
-            clip = self.pipeline.compose(
-                wish.concepts, method=wish.method, on_step=step, on_level=level, **wish.sampling
-            )
-        else:
-            clip = self.pipeline.generate(self._graph(), on_step=step, on_level=level, **wish.sampling)
+        wish = self.wish
+        if not wish.concepts and not isinstance(wish.text, SemanticGraph):
+            graph = self.pipeline.parse(wish.text or "")
+            self._lap("parser")
+            self.tell({"event": "graph", "graph": graph.to_dict()})
+            wish = replace(wish, text=graph)
+        clip = make(self.pipeline, wish, self._step, self._level)
         self._lap("decoder, feet")
-        body = record(clip)
+        shown = record(clip)
         self._lap("body")
-        self.tell({"event": "clip", "clip": body, "stages": {name: round(ms, 1) for name, ms in self.stages.items()}})
-        return clip
-
-    def _graph(self) -> SemanticGraph:
-        text = self.wish.text
-        if isinstance(text, SemanticGraph):
-            return text
-        graph = self.pipeline.parse(text or "")
-        self._lap("parser")
-        self.tell({"event": "graph", "graph": graph.to_dict()})
-        return graph
+        self.tell({"event": "clip", "clip": shown, "stages": {name: round(ms, 1) for name, ms in self.stages.items()}})
 
     def _step(self, info: StepInfo) -> bool:
         last = info.step == info.steps

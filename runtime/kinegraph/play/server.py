@@ -65,9 +65,10 @@ def server_of(pipeline: MotionPipeline, port: int) -> uvicorn.Server:
 
 
 def warm_up(pipeline: MotionPipeline) -> None:
-    """One short clip, so that the first one asked for does not wait for spaCy to load."""
+    """One short clip, so that the first one asked for does not wait for spaCy or a lazy session."""
     try:
-        pipeline.generate(EXAMPLE, seconds=pipeline.manifest.seconds_limits[0], steps=1, seed=0)
+        shortest, _ = pipeline.manifest.seconds_limits
+        pipeline.generate(EXAMPLE, seconds=shortest, steps=1, seed=0, on_level=lambda level, clip: None)
     except KinegraphError:
         return  # whatever it is, the page tells it when it is asked
 

@@ -36,6 +36,11 @@ class Turns:
         own = len(self._waiting.get(tab, ()))
         return self._taken + sum(min(len(queue), own + 1) for name, queue in self._waiting.items() if name != tab) + own
 
+    def check_room(self, tab: str) -> None:
+        """Raise TooBusyError where a request of this tab could not even wait."""
+        if len(self) >= self._most or len(self._waiting.get(tab, ())) >= self._per_tab:
+            raise TooBusyError(f"{len(self)} requests are waiting already; try again in a moment")
+
     @asynccontextmanager
     async def turn(self, tab: str) -> AsyncIterator[None]:
         """Wait for a turn and keep it; whoever is cancelled while waiting leaves the queue.
@@ -53,8 +58,7 @@ class Turns:
         if not self._taken:
             self._taken = True
             return
-        if len(self) >= self._most or len(self._waiting.get(tab, ())) >= self._per_tab:
-            raise TooBusyError(f"{len(self)} requests are waiting already; try again in a moment")
+        self.check_room(tab)
         called = asyncio.get_running_loop().create_future()
         self._waiting.setdefault(tab, deque()).append(called)
         try:
