@@ -114,7 +114,7 @@ def _concepts(value: object) -> tuple[Concept, ...]:
 
 def _option(name: str, value: object) -> object:
     """Numbers may come as typed text: "7", "2.5", "15,15,20"; a seed beyond 2**53 must, as JSON would round it."""
-    if not isinstance(value, str):
+    if not isinstance(value, str) or name == "foot_fix":
         return value
     try:
         if name == "seed":
