@@ -34,14 +34,14 @@ def open_page(browser: Browser) -> Iterator[Open]:
     contexts = []
     complaints: list[str] = []
 
-    def open_at(url: str, width: int = 640, height: int = 480, **options: Any) -> Page:
+    def open_at(url: str, width: int = 640, height: int = 480, *, refused: bool = False, **options: Any) -> Page:
         # Nothing plays by itself, so that pictures of the same time are the same.
         options = {"reduced_motion": "reduce", **options}
         context = browser.new_context(viewport={"width": width, "height": height}, **options)
         contexts.append(context)
         page = context.new_page()
         own = url.split("#")[0]
-        page.on("console", lambda message: complaints.append(f"{message.type}: {message.text}"))
+        page.on("console", lambda message: heard(message.text, refused))
         page.on("pageerror", lambda error: complaints.append(f"error: {error}"))
         page.on(
             "request", lambda request: request.url.startswith((own, "data:", "blob:")) or complaints.append(request.url)
@@ -49,6 +49,11 @@ def open_page(browser: Browser) -> Iterator[Open]:
         page.goto(url)
         page.wait_for_selector("html[data-ready]", state="attached", timeout=60_000)
         return page
+
+    def heard(text: str, refused: bool) -> None:
+        # what a browser says of every refused request, where one is to be refused
+        if not (refused and "status of 400" in text):
+            complaints.append(text)
 
     yield open_at
     for context in contexts:

@@ -73,11 +73,12 @@ class Playing:
 @contextmanager
 def playing(pipeline: MotionPipeline) -> Iterator[Playing]:
     """A server until the end of the block."""
-    from kinegraph.play.server import listen, server_of
+    from kinegraph.play.app import Playground
+    from kinegraph.play.server import Server, listen
 
     with listen(0) as listener:
         port = listener.getsockname()[1]
-        server = server_of(pipeline, port)
+        server = Server(Playground(pipeline), port)
         thread = threading.Thread(target=server.run, kwargs={"sockets": [listener]}, daemon=True)
         thread.start()
         deadline = time.monotonic() + 20

@@ -79,7 +79,8 @@ export function openPlayground(side, play, stage, transport) {
 
   function busy(is) {
     at(".cancel").hidden = !is;
-    at(".keep").hidden = is || !shown;
+    at(".keep").hidden = is || !shown || kept.includes(shown) || kept.length >= KEPT;
+    at(".alone").hidden = is || !kept.length;
     form.setAttribute("aria-busy", is);
   }
 
@@ -141,9 +142,13 @@ export function openPlayground(side, play, stage, transport) {
   at(".cancel").addEventListener("click", () => run?.abort());
   document.addEventListener("keydown", (event) => event.key === "Escape" && run?.abort());
   at(".keep").addEventListener("click", () => {
-    kept = kept.length < KEPT && !kept.includes(shown) ? [...kept, shown] : [];
-    at(".keep").textContent = kept.length ? "Only this one" : "Keep beside";
-    if (!kept.length) stage.show([shown]);
+    kept.push(shown);
+    busy(false);
+  });
+  at(".alone").addEventListener("click", () => {
+    kept = [];
+    stage.show([shown]);
+    busy(false);
   });
   at(".new-seed").addEventListener("click", () => (field.seed.value = last?.seed ?? ""));
   for (const radio of field.mode) radio.addEventListener("change", switchMode);

@@ -44,7 +44,13 @@ class Playground:
     def __init__(self, pipeline: MotionPipeline) -> None:
         self._pipeline = pipeline
         self._clips, self._parses = Turns(), Turns()
+        self._made: set[asyncio.Task[None]] = set()
         self._page = document("kinegraph", {"play": _facts(pipeline)}, CONNECT)
+
+    def stop(self) -> None:
+        """End what is being made, at the end of the server."""
+        for task in self._made:
+            task.cancel()
 
     async def page(self, request: Request) -> Response:
         own = {"Content-Security-Policy": f"{policy(CONNECT)}; frame-ancestors 'none'"}
@@ -89,6 +95,8 @@ class Playground:
     async def _events(self, wish: Wish, tab: str) -> AsyncIterator[str]:
         events: asyncio.Queue[dict[str, Any] | None] = asyncio.Queue()
         task = asyncio.create_task(self._make(wish, tab, events))
+        self._made.add(task)
+        task.add_done_callback(self._made.discard)
         try:
             while (event := await events.get()) is not None:
                 yield json.dumps(event, ensure_ascii=False) + "\n"
@@ -156,9 +164,8 @@ async def _unknown(request: Request, error: Exception) -> Response:
     return JSONResponse({"error": {404: "there is no such page", 405: "not that way"}.get(status, "failed")}, status)
 
 
-def application(pipeline: MotionPipeline, port: int) -> Guard:
+def application(own: Playground, port: int) -> Guard:
     """The ASGI application, behind its guard."""
-    own = Playground(pipeline)
     routes = [Route("/", own.page)]
     for name in ("parse", "edit", "clip", "file"):
         routes.append(Route(f"/api/{name}", getattr(own, name), methods=["POST"]))

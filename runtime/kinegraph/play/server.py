@@ -12,7 +12,7 @@ import uvicorn
 
 from kinegraph.errors import InvalidInputError, KinegraphError, OutputError
 from kinegraph.pipeline import MotionPipeline
-from kinegraph.play.app import EXAMPLE, application
+from kinegraph.play.app import EXAMPLE, Playground, application
 
 ADDRESS: Final = "127.0.0.1"
 
@@ -42,26 +42,34 @@ def listen(port: int) -> socket.socket:
 def serve(pipeline: MotionPipeline, listener: socket.socket, on_start: Callable[[str], None]) -> None:
     """Serve until interrupted; `on_start` is told the address once it answers."""
     port = listener.getsockname()[1]
-    server = server_of(pipeline, port)
+    server = Server(Playground(pipeline), port)
     threading.Thread(target=warm_up, args=(pipeline,), daemon=True).start()
     on_start(f"http://{ADDRESS}:{port}/")
     server.run(sockets=[listener])
 
 
-def server_of(pipeline: MotionPipeline, port: int) -> uvicorn.Server:
-    """uvicorn with nothing that it can do without: one process, no reload, no lookup of names, no log of requests."""
-    return uvicorn.Server(
-        uvicorn.Config(
-            application(pipeline, port),
-            log_level="error",
-            access_log=False,
-            server_header=False,
-            proxy_headers=False,
-            ws="none",
-            limit_concurrency=64,
-            timeout_graceful_shutdown=2,
+class Server(uvicorn.Server):
+    """uvicorn, which waits for the streams that are open; so they must end when it does."""
+
+    def __init__(self, playground: Playground, port: int) -> None:
+        self._playground = playground
+        # Nothing that it can do without: one process, no reload, no lookup of names, no log of requests.
+        super().__init__(
+            uvicorn.Config(
+                application(playground, port),
+                log_level="error",
+                access_log=False,
+                server_header=False,
+                proxy_headers=False,
+                ws="none",
+                limit_concurrency=64,
+                timeout_graceful_shutdown=2,
+            )
         )
-    )
+
+    async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
+        self._playground.stop()
+        await super().shutdown(sockets)
 
 
 def warm_up(pipeline: MotionPipeline) -> None:
