@@ -9,6 +9,7 @@ import sys
 import threading
 import time
 from collections.abc import Iterator
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +24,8 @@ from kinegraph.errors import Cancelled
 pytest.importorskip("spacy")
 pytest.importorskip("starlette")
 pytest.importorskip("uvicorn")
+
+from kinegraph.play.turns import MAX_PER_TAB
 
 RUNTIME = Path(kinegraph.__file__).resolve().parents[1]
 TEXT = "a person walks slowly to the left"
@@ -286,19 +289,17 @@ def test_a_second_tab_is_not_starved_by_the_first(server: Playing) -> None:
 
 
 def test_a_full_queue_is_said_at_once(server: Playing) -> None:
-    with server.events(LONG, "full") as events:
-        while next(events)["event"] != "step":
-            pass
-        waiting = [threading.Thread(target=server.clip, args=({**WISH, "steps": 1}, "full")) for _ in range(4)]
-        for thread in waiting:
-            thread.start()
-        deadline = time.monotonic() + 8
-        while (answer := server.post("/api/file", {"wish": WISH, "suffix": ".bvh"}, "full")).status != 503:
-            assert time.monotonic() < deadline
-    assert "waiting already" in answer.json["error"] and answer.headers["retry-after"] == "2"
-    for thread in waiting:
-        thread.join(60)
-        assert not thread.is_alive()
+    with ExitStack() as open_streams:
+        for _ in range(1 + MAX_PER_TAB):
+            events = open_streams.enter_context(server.events(LONG, "full"))
+            assert next(events)["event"] == "queued"
+        # the last of them takes its place in the queue right after it said so
+        time.sleep(0.2)
+        answer = server.post("/api/clip", WISH, "full")
+        assert answer.status == 503 and answer.headers["retry-after"] == "2"
+        assert f"{MAX_PER_TAB} requests are waiting already" in answer.json["error"]
+        assert server.post("/api/parse", {"text": TEXT}, "full").status == 200
+    assert server.clip(WISH, "full")[-1]["event"] == "clip"
 
 
 def test_nothing_is_written_and_nothing_asked_of_the_network(server: Playing) -> None:
