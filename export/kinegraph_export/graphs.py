@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import copy
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
@@ -11,10 +12,17 @@ import onnx
 import torch
 from torch import nn
 
-from kinegraph.contract import LEVELS, NODE_KINDS, GraphContract, LevelSpec, contracts
+from kinegraph.contract import COARSE_DECODERS, LEVELS, NODE_KINDS, GraphContract, LevelSpec, contracts
 from kinegraph.errors import InvalidInputError
 from kinegraph_export.fused import fused
-from kinegraph_export.modules import ClockGraph, ContextGraph, DecoderGraph, MotionContextGraph, StepGraph
+from kinegraph_export.modules import (
+    ClockGraph,
+    CoarseDecoderGraph,
+    ContextGraph,
+    DecoderGraph,
+    MotionContextGraph,
+    StepGraph,
+)
 from kinegraph_export.onnx_export import halved_weights, serialised, stripped, to_onnx
 from kinegraph_export.parity import Draw, max_difference, module_arguments, relative_error
 from kinegraph_export.quantise import dynamic_int8, optimised
@@ -28,6 +36,19 @@ KEPT_IN_FLOAT = ("graph_encoder", "decoder")
 
 
 @dataclass(frozen=True)
+class CoarseDecoder:
+    """The autoencoder of a coarser level, in the terms of the specific level's features."""
+
+    vae: MotionVae
+    centre: torch.Tensor
+    scale: torch.Tensor
+    """(c, z) standardisation of the level's latent."""
+    gain: torch.Tensor
+    shift: torch.Tensor
+    """(features,) `decoded * gain + shift` is normalised as the specific level's features are."""
+
+
+@dataclass(frozen=True)
 class Trained:
     """Everything that was trained, in evaluation mode, weights rounded to what the bundle stores."""
 
@@ -37,6 +58,8 @@ class Trained:
     centre: torch.Tensor
     scale: torch.Tensor
     """(c, z) standardisation of the specific level's latent."""
+    coarse: Mapping[str, CoarseDecoder] = field(default_factory=dict)
+    """By level, as far as the run tells how their latents were standardised."""
 
 
 def check_exportable(trained: Trained) -> None:
@@ -75,6 +98,8 @@ def graph_modules(trained: Trained) -> dict[str, nn.Module]:
         modules[f"clock_{level}"] = ClockGraph(denoiser.clock)
         modules[f"step_{level}"] = StepGraph(denoiser.step)
     modules["decoder"] = DecoderGraph(trained.vae, trained.centre, trained.scale)
+    for level, own in trained.coarse.items():
+        modules[COARSE_DECODERS[level]] = CoarseDecoderGraph(own.vae, own.centre, own.scale, own.gain, own.shift)
     return {name: module.eval() for name, module in modules.items()}
 
 

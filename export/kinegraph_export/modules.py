@@ -62,3 +62,15 @@ class DecoderGraph(nn.Module):
 
     def forward(self, latent: Tensor, frame_mask: Tensor) -> Tensor:
         return self.vae.decode(latent * self.scale + self.centre, frame_mask)
+
+
+class CoarseDecoderGraph(DecoderGraph):
+    """decoder_{level}: the same for a coarser level, whose autoencoder has a normalisation of its own."""
+
+    def __init__(self, vae: MotionVae, centre: Tensor, scale: Tensor, gain: Tensor, shift: Tensor) -> None:
+        super().__init__(vae, centre, scale)
+        self.register_buffer("gain", gain)
+        self.register_buffer("shift", shift)
+
+    def forward(self, latent: Tensor, frame_mask: Tensor) -> Tensor:
+        return super().forward(latent, frame_mask) * self.gain + self.shift

@@ -1,7 +1,8 @@
 """A training run from a bundle: the denoisers' weights are read back out of its graphs, so that they can be trained on
 or exported anew (in another precision, with further graphs) where the checkpoint is gone.
 
-    python -m kinegraph_export.recover --bundle BUNDLE --preset edge --vaes weights/edge --run runs/recovered
+    python -m kinegraph_export.recover --bundle BUNDLE --preset edge --vaes weights/edge --run runs/recovered \
+        --data DATA --held-out PAIRS
 
 The exporter moves, transposes and renames weights. Where each one went is found by exporting modules of the same shape
 whose weights are all different numbers. What comes back are the weights that the bundle holds, rounded to float16.
@@ -23,14 +24,16 @@ from onnx import numpy_helper
 from torch import nn
 
 from kinegraph.bundle import Bundle, read_bundle
-from kinegraph.contract import LEVELS, GraphContract, contracts
+from kinegraph.contract import COARSE_DECODERS, LEVELS, GraphContract, contracts
 from kinegraph.errors import InvalidInputError
 from kinegraph_export.graphs import Trained, graph_modules, traced
-from kinegraph_training.config import read_preset
-from kinegraph_training.latents import read_vae
+from kinegraph_training.config import Preset, read_preset
+from kinegraph_training.dataset import training_set
+from kinegraph_training.latents import encode_clips, read_vae, standardised
 from kinegraph_training.models.denoiser import DenoiserConfig, LatentShape
 from kinegraph_training.models.hierarchy import Hierarchy
 from kinegraph_training.run_tables import write_tables
+from kinegraph_training.train_denoisers import within
 
 FloatArrays = dict[str, np.ndarray]
 
@@ -99,14 +102,17 @@ def recovered(module: nn.Module, contract: GraphContract, frames_per_token: int,
 
 
 def hierarchy_of(bundle: Bundle, config: DenoiserConfig, vaes: Path) -> tuple[Hierarchy, FloatArrays]:
-    """The denoisers of a bundle, and the standardisation (c, z) of the specific level's latent."""
+    """The denoisers of a bundle, and the standardisation (c, z) of the latents whose decoders it holds."""
     manifest = bundle.manifest
     shapes = {level: LatentShape(spec.tokens, spec.latent_width) for level, spec in manifest.levels.items()}
     hierarchy = Hierarchy(config, shapes).eval()
     own = read_vae(vaes / f"vae_{LEVELS[-1]}.ckpt")
     declared = contracts(manifest.levels, config.text_width, len(manifest.features.mean))
-    decoder = numbers(onnx.load_model_from_string(bundle.files[declared["decoder"].file]))
-    statistics = {f"{LEVELS[-1]}_{name}": decoder[name] for name in ("centre", "scale")}
+    statistics = {}
+    for level, graph in ((LEVELS[-1], "decoder"), *COARSE_DECODERS.items()):
+        if declared[graph].file in bundle.files:
+            decoder = numbers(onnx.load_model_from_string(bundle.files[declared[graph].file]))
+            statistics |= {f"{level}_{name}": decoder[name] for name in ("centre", "scale")}
     unit = torch.ones(shapes[LEVELS[-1]].tokens, shapes[LEVELS[-1]].width)
     for name, module in graph_modules(Trained(hierarchy, own.vae, unit, unit)).items():
         if name != "decoder":
@@ -115,8 +121,28 @@ def hierarchy_of(bundle: Bundle, config: DenoiserConfig, vaes: Path) -> tuple[Hi
     return hierarchy, statistics
 
 
-def recover(folder: Path, preset: str, vaes: Path, run: Path) -> None:
+def coarse_statistics(vaes: Path, data: Path, held_out: Path | None, preset: Preset) -> FloatArrays:
+    """Standardisation of the coarser levels' latents, measured on the clips that the bundle was trained on."""
+    train = within(training_set(data, preset.data, held_out), preset.data.max_frames)
+    found = {}
+    for level in COARSE_DECODERS:
+        own = standardised(*encode_clips(read_vae(vaes / f"vae_{level}.ckpt"), train))
+        found |= {f"{level}_centre": own.centre.numpy(), f"{level}_scale": own.scale.numpy()}
+    return found
+
+
+def recover(
+    folder: Path, preset: str, vaes: Path, run: Path, data: Path | None = None, held_out: Path | None = None
+) -> None:
     """Write `run` as if it had been trained: the three autoencoders, the denoisers, what was measured on the data.
+
+    Args:
+        folder: of the bundle.
+        preset: it was trained with.
+        vaes: folder of the autoencoders' checkpoints.
+        run: folder to write.
+        data: training data; measures what a bundle without coarse decoders does not tell, so that the next has them.
+        held_out: pairs that training never joined, as in `train_denoisers`.
 
     Raises:
         BundleError: the bundle cannot be read.
@@ -126,6 +152,8 @@ def recover(folder: Path, preset: str, vaes: Path, run: Path) -> None:
     if bundle.manifest.precision != "fp32":
         raise InvalidInputError(f"{folder} holds int8 weights, which cannot be trained on; take an fp32 bundle")
     hierarchy, statistics = hierarchy_of(bundle, wanted.denoiser, vaes)
+    if data is not None:
+        statistics = coarse_statistics(vaes, data, held_out, wanted) | statistics
     shapes = {level: asdict(shape) for level, shape in hierarchy.latents.items()}
     known = {"config": asdict(wanted.denoiser), "training": asdict(wanted.denoiser_training), "latents": shapes}
     state = {f"hierarchy.{name}": value for name, value in hierarchy.state_dict().items()}
@@ -146,8 +174,11 @@ def main(argv: list[str] | None = None) -> None:
     parser.add_argument("--preset", default="edge", help="preset that the bundle was trained with")
     parser.add_argument("--vaes", type=Path, required=True, help="folder with vae_{motion,action,specific}.ckpt")
     parser.add_argument("--run", type=Path, required=True, help="folder of the run to write")
+    parser.add_argument("--data", type=Path, help="training data, to give a bundle without coarse decoders them")
+    parser.add_argument("--held-out", type=Path, help="pairs that training never joined, as in train_denoisers")
     arguments = parser.parse_args(argv)
-    recover(arguments.bundle, arguments.preset, arguments.vaes, arguments.run)
+    given = (arguments.bundle, arguments.preset, arguments.vaes, arguments.run, arguments.data, arguments.held_out)
+    recover(*given)
 
 
 if __name__ == "__main__":

@@ -13,7 +13,6 @@ from typing import Final
 
 from kinegraph.errors import BundleError, BundleFormatError, BundleIntegrityError
 from kinegraph.manifest import FileSpec, Manifest, decode_manifest
-from kinegraph.manifest_checks import GRAPH_FILES
 from kinegraph.motion.skeleton import FloatArray
 from kinegraph.onnx_ops import check_self_contained
 from kinegraph.tables import read_tables
@@ -66,7 +65,7 @@ def read_bundle(path: Path | None = None) -> Bundle:
     _check_listing(folder, manifest)
     _check_sizes(manifest.files)
     files = {name: _read_listed(folder, name, entry) for name, entry in manifest.files.items()}
-    for name in GRAPH_FILES:
+    for name in manifest.operators:  # all graphs
         check_self_contained(files[name], name)
     tables = read_tables(files["tables.npz"], manifest)
     return Bundle(folder, manifest, MappingProxyType(files), tables)

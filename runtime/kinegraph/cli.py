@@ -1,4 +1,4 @@
-"""The command line: `kinegraph generate | compose | sequence | parse | info | verify | bench`.
+"""The command line: `kinegraph generate | compose | sequence | view | play | parse | info | verify | bench`.
 
 Exit codes: 0 done; 2 wrong input, bundle or target (one line on stderr says what); 130 interrupted.
 """
@@ -15,10 +15,19 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from kinegraph import __version__
-from kinegraph.cli_arguments import add_bench, add_bundle, add_compose, add_generate, add_parse, add_sequence
+from kinegraph.cli_arguments import (
+    add_bench,
+    add_bundle,
+    add_compose,
+    add_generate,
+    add_parse,
+    add_play,
+    add_sequence,
+    add_view,
+)
 from kinegraph.cli_input import captions, check_only_jsonl, concepts, edited, input_graph, take_files
 from kinegraph.cli_output import Progress, as_json, info_record, info_text, one_line, verify_text
-from kinegraph.errors import Cancelled, InvalidInputError, KinegraphError
+from kinegraph.errors import Cancelled, InvalidInputError, KinegraphError, MissingExtraError
 
 # Everything that loads numpy or onnxruntime is imported where it is used: `--help` must be instant.
 if TYPE_CHECKING:
@@ -63,6 +72,8 @@ def _parser() -> argparse.ArgumentParser:
         ("generate", "make a clip from a sentence or a graph", add_generate, _generate),
         ("compose", "make a clip of several motions at once, or without some", add_compose, _compose),
         ("sequence", "make a clip of several sentences, one after another", add_sequence, _sequence),
+        ("view", "show saved clips in the browser", add_view, _view),
+        ("play", "make clips in the browser, on this machine", add_play, _play),
         ("parse", "print or draw the semantic graph of a sentence", add_parse, _parse),
         ("info", "what a bundle is: what it can do, licences, provenance, sizes, quality", add_bundle, _info),
         ("verify", "check every file, operator and session of a bundle", add_bundle, _verify),
@@ -177,6 +188,45 @@ def _finished(clip: Clip, options: argparse.Namespace) -> Clip:
     clip = clip.looped() if options.loop else clip
     clip = clip.in_place() if options.in_place else clip
     return clip if options.fps is None else clip.resampled(options.fps)
+
+
+def _view(options: argparse.Namespace) -> int:
+    import tempfile
+    import webbrowser
+
+    from kinegraph.formats.atomic import check_target, write_atomically
+    from kinegraph.formats.html import page
+    from kinegraph.formats.npz import read_npz
+
+    if options.output is not None:
+        check_target(options.output, options.force, (".html",))
+    data = page([read_npz(path) for path in options.clips])
+    target = options.output or Path(tempfile.mkdtemp(prefix="kinegraph-")) / "clips.html"
+    write_atomically(target, data)
+    print(target)
+    if options.browser:
+        webbrowser.open(target.resolve().as_uri())
+    return 0
+
+
+def _play(options: argparse.Namespace) -> int:
+    try:
+        from kinegraph.play.server import listen, open_browser, serve
+    except ModuleNotFoundError as error:
+        raise MissingExtraError(f'kinegraph play needs {error.name}: pip install "kinegraph[text,play]"') from error
+
+    def started(url: str) -> None:
+        print(f"{url} (Ctrl+C ends it)", flush=True)
+        if options.browser:
+            open_browser(url)
+
+    with listen(options.port) as listener:
+        pipeline = _load(options.bundle, options.threads)
+        try:
+            serve(pipeline, listener, started)
+        except KeyboardInterrupt:
+            return 0  # how it is meant to end
+    return 0
 
 
 def _parse(options: argparse.Namespace) -> int:

@@ -88,7 +88,7 @@ def _add_sampling(parser: argparse.ArgumentParser) -> None:
         type=Path,
         required=True,
         metavar="FILE",
-        help="the suffix says the format: .bvh, .gif, .glb, .npz, .png",
+        help="the suffix says the format: .bvh, .gif, .glb, .html, .npz, .png",
     )
     parser.add_argument(
         "--names", default="smpl", metavar="CONVENTION", help="joint names in .bvh and .glb: smpl (default) or mixamo"
@@ -113,6 +113,22 @@ def _add_sampling(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--progress", action="store_true", help="show progress even if stderr is no terminal")
     parser.add_argument("--quiet", action="store_true", help="print nothing but errors")
     add_bundle(parser)
+
+
+def add_view(parser: argparse.ArgumentParser) -> None:
+    """Arguments of `view`."""
+    parser.add_argument("clips", nargs="+", type=Path, metavar="CLIP", help="clips saved as .npz, side by side")
+    parser.add_argument("-o", "--output", type=Path, metavar="FILE", help="keep the page as this .html")
+    parser.add_argument("--force", action="store_true", help="overwrite the file if it is there")
+    parser.add_argument("--no-browser", dest="browser", action="store_false", help="only write the page")
+
+
+def add_play(parser: argparse.ArgumentParser) -> None:
+    """Arguments of `play`."""
+    parser.add_argument("--port", type=int, default=8420, metavar="N", help="default 8420; 0 takes any that is free")
+    parser.add_argument("--no-browser", dest="browser", action="store_false", help="only say the address")
+    parser.add_argument("--threads", type=int, metavar="N", help="threads a model may use")
+    parser.add_argument("--bundle", type=Path, metavar="DIR", help="a bundle's folder; default: the built-in one")
 
 
 def add_parse(parser: argparse.ArgumentParser) -> None:

@@ -20,6 +20,9 @@ from kinegraph.errors import BundleFormatError
 LEVELS: Final[tuple[str, ...]] = ("motion", "action", "specific")
 """Coarse to fine; a level sees the final latent of the one before it."""
 
+COARSE_DECODERS: Final[Mapping[str, str]] = {level: f"decoder_{level}" for level in LEVELS[:-1]}
+"""Level -> graph that shows how far a clip has come after it; a bundle need not have them."""
+
 NODE_KINDS: Final[tuple[str, ...]] = ("motion", "action", "specific")
 """Position is the number in a context graph's `kind` input."""
 
@@ -168,8 +171,8 @@ def step(name: str, level: LevelSpec) -> GraphContract:
     return GraphContract(f"step_{name}", inputs, (TensorSpec("noise", latent),))
 
 
-def decoder(level: LevelSpec, features: int) -> GraphContract:
-    """Normalised features from the finest latent.
+def decoder(name: str, level: LevelSpec, features: int) -> GraphContract:
+    """Normalised features from a level's latent; the graph `decoder` is that of the finest.
 
     `frame_mask` is 1 on frames, 0 on padding; L is a multiple of the bundle's frames per token.
     """
@@ -177,11 +180,11 @@ def decoder(level: LevelSpec, features: int) -> GraphContract:
         TensorSpec("latent", ("B", level.tokens, level.latent_width)),
         TensorSpec("frame_mask", ("B", "L")),
     )
-    return GraphContract("decoder", inputs, (TensorSpec("features", ("B", "L", features)),))
+    return GraphContract(name, inputs, (TensorSpec("features", ("B", "L", features)),))
 
 
 def contracts(levels: Mapping[str, LevelSpec], text_width: int, features: int) -> dict[str, GraphContract]:
-    """Every graph of a bundle by name, in the order of running.
+    """Every graph that a bundle may hold by name, in the order of running, the optional ones last.
 
     Args:
         levels: one spec for each of `LEVELS`.
@@ -194,7 +197,8 @@ def contracts(levels: Mapping[str, LevelSpec], text_width: int, features: int) -
         own = levels[name]
         graphs += [context(name, own, text_width, coarse), clock(name, own), step(name, own)]
         coarse = levels[name]
-    graphs.append(decoder(levels[LEVELS[-1]], features))
+    graphs.append(decoder("decoder", levels[LEVELS[-1]], features))
+    graphs += [decoder(graph, levels[level], features) for level, graph in COARSE_DECODERS.items()]
     return {graph.name: graph for graph in graphs}
 
 
@@ -204,7 +208,7 @@ GRAPHS: Final[tuple[str, ...]] = (
     *(f"{part}_{level}" for level in LEVELS for part in ("context", "clock", "step")),
     "decoder",
 )
-"""Names of all graphs of a bundle, in the order of running."""
+"""Names of all graphs that a bundle must have, in the order of running."""
 
 
 def check(inputs: Iterable[Tensor], outputs: Iterable[Tensor], contract: GraphContract) -> None:

@@ -13,7 +13,15 @@ from kinegraph.contract import LEVELS
 from kinegraph.diffusion.composition import Wiring, composition, mixed
 from kinegraph.diffusion.ddim import DdimCoefficients
 from kinegraph.diffusion.guidance import guided
-from kinegraph.diffusion.sampler import LevelPlan, OnStep, Predict, PredictorFor, coarse_to_fine, initial_noise
+from kinegraph.diffusion.sampler import (
+    LevelPlan,
+    OnLatent,
+    OnStep,
+    Predict,
+    PredictorFor,
+    coarse_to_fine,
+    initial_noise,
+)
 from kinegraph.manifest import Manifest
 from kinegraph.network import RowNetwork, modulations, row_network
 from kinegraph.options import GenerateOptions
@@ -28,6 +36,8 @@ class Denoisers:
 
     sessions: Sessions
     manifest: Manifest
+    on_latent: OnLatent | None = None
+    """Told of every level that is done."""
 
     def guided(self, encoded: Conditions, options: Sequence[GenerateOptions], on_step: OnStep | None) -> FloatArray:
         """Latents of the finest level, (B, C, z); all samples of a batch share steps and guidance."""
@@ -78,7 +88,7 @@ class Denoisers:
         ]
         per_sample = [initial_noise(each.seed, plans) for each in options]
         noises = [np.stack(level) for level in zip(*per_sample, strict=True)]
-        return coarse_to_fine(plans, noises, predictor_for, self.manifest.schedule.noise, on_step)[-1]
+        return coarse_to_fine(plans, noises, predictor_for, self.manifest.schedule.noise, on_step, self.on_latent)[-1]
 
     def _predictor(
         self,

@@ -96,12 +96,18 @@ class SemanticGraph:
                 "text": action.text,
                 "start": action.start,
                 "end": action.end,
-                "weight": action.weight,
+                "weight": float(action.weight),
             }
             if action.order != place:
                 row["order"] = action.order
             row["arguments"] = [
-                {"role": part.role, "text": part.text, "start": part.start, "end": part.end, "weight": part.weight}
+                {
+                    "role": part.role,
+                    "text": part.text,
+                    "start": part.start,
+                    "end": part.end,
+                    "weight": float(part.weight),
+                }
                 for part in action.arguments
             ]
             actions.append(row)

@@ -131,7 +131,8 @@ class Manifest:
     @property
     def contracts(self) -> dict[str, GraphContract]:
         """Contract of every graph of this bundle, by name."""
-        return contracts(self.levels, self.text.width, len(self.features.mean))
+        declared = contracts(self.levels, self.text.width, len(self.features.mean))
+        return {name: contract for name, contract in declared.items() if contract.file in self.files}
 
     @property
     def seconds_limits(self) -> tuple[float, float]:

@@ -6,7 +6,7 @@ import re
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Final
 
-from kinegraph.contract import GRAPHS, LEVELS, NODE_KINDS, LevelSpec
+from kinegraph.contract import COARSE_DECODERS, GRAPHS, LEVELS, NODE_KINDS, LevelSpec
 from kinegraph.errors import BundleFormatError, InvalidInputError
 from kinegraph.limits import MAX_FRAMES
 from kinegraph.motion.skeleton import JOINT_NAMES, PARENTS
@@ -19,8 +19,11 @@ FORMAT_VERSION: Final = 2
 
 GRAPH_FILES: Final[tuple[str, ...]] = tuple(f"{graph}.onnx" for graph in GRAPHS)
 REQUIRED_FILES: Final[frozenset[str]] = frozenset((*GRAPH_FILES, "tokenizer.json", "tables.npz"))
-OPTIONAL_FILES: Final[frozenset[str]] = frozenset(("parser.bin",))
-"""Without the parser a bundle takes graphs, but no plain sentences."""
+OPTIONAL_FILES: Final[frozenset[str]] = frozenset(
+    ("parser.bin", *(f"{graph}.onnx" for graph in COARSE_DECODERS.values()))
+)
+"""Without the parser a bundle takes graphs, but no plain sentences; without the coarse decoders it shows no clip before
+the last level is done."""
 
 MAX_DIMS: Final[Mapping[str, int]] = {
     "tokens": 256,
@@ -188,10 +191,9 @@ def _check_files(files: Mapping[str, FileSpec], operators: Mapping[str, tuple[st
         _require(entry.bytes >= 0, f"files.{name}.bytes", f"must not be negative, found {entry.bytes}")
     missing = sorted(REQUIRED_FILES - set(files))
     _require(not missing, "files", f"lacks {missing}")
+    graphs = sorted(name for name in files if name.endswith(".onnx"))
     _require(
-        set(operators) == set(GRAPH_FILES),
-        "operators",
-        f"must have exactly the keys {sorted(GRAPH_FILES)}, found {sorted(operators)}",
+        sorted(operators) == graphs, "operators", f"must have exactly the keys {graphs}, found {sorted(operators)}"
     )
     for name, listed in operators.items():
         _require(list(listed) == sorted(set(listed)), f"operators.{name}", "must be sorted and without repeats")

@@ -5,7 +5,7 @@ text -> graph -> node features -> graph attention -> motion -> action -> specifi
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from kinegraph.bundle import read_bundle
 from kinegraph.concepts import Concept, checked_concepts, checked_lambdas, joint_caption
 from kinegraph.conditions import Conditions, GraphArrays, conditions, padded, repeated
+from kinegraph.contract import LEVELS
 from kinegraph.decoding import decode, finite
 from kinegraph.denoisers import Denoisers
 from kinegraph.diffusion.sampler import OnStep
@@ -37,6 +38,9 @@ from kinegraph.text.states import caption_arrays
 from kinegraph.text.tokens import CaptionTokenizer
 
 FloatArray = NDArray[np.float32]
+
+OnLevel = Callable[[str, Clip], None]
+"""Called after a level, of `contract.COARSE_DECODERS`, with its name and the clip as far as it has come."""
 
 
 class MotionPipeline:
@@ -104,6 +108,7 @@ class MotionPipeline:
         guidance: Guidance | None = None,
         foot_fix: bool = True,
         on_step: OnStep | None = None,
+        on_level: OnLevel | None = None,
     ) -> Clip:
         """A clip for a sentence or a graph. The same arguments give the same clip, bit for bit.
 
@@ -115,6 +120,8 @@ class MotionPipeline:
             guidance: how strictly the text is followed, one number or one per level.
             foot_fix: hold feet that stand where they stand (`motion.feet`).
             on_step: called after every step with a `StepInfo`; returning False stops with `Cancelled`.
+            on_level: called with "motion" and a rough clip, then with "action" and a finer one, where the bundle
+                carries the decoders for it; their frames are those of the clip to come.
 
         Raises:
             InvalidInputError: text or an option is outside what the model takes; nothing has been run.
@@ -130,12 +137,12 @@ class MotionPipeline:
         if seconds is None:
             options = with_own_length(options, self._tables.get(DURATION), self.manifest, arrays[:1])
         encoded, weights = self._encode(arrays), [weight for _, weight in terms]
-        denoisers = Denoisers(self._sessions, self.manifest)
+        denoisers = self._denoisers(options, graph.caption, on_level)
         if weights == [1.0]:
             latent = denoisers.guided(encoded, [options], on_step)
         else:
             latent = denoisers.composed(encoded, weights, [], (1.0, 0.0, 0.0), options, on_step)
-        return self._clips(latent, [options], [graph.caption])[0]
+        return replace(self._clips(latent, [options], [graph.caption])[0], graph=graph)
 
     def takes(
         self,
@@ -197,7 +204,9 @@ class MotionPipeline:
         each_clip = [replace(own[place // copies], seed=value) for place, value in enumerate(seeds)]
         encoded = repeated(self._encode(arrays), copies)
         latent = Denoisers(self._sessions, self.manifest).guided(encoded, each_clip, on_step)
-        return self._clips(latent, each_clip, [graph.caption for graph in graphs for _ in range(copies)])
+        own_graphs = [graph for graph in graphs for _ in range(copies)]
+        clips = self._clips(latent, each_clip, [graph.caption for graph in own_graphs])
+        return [replace(clip, graph=graph) for clip, graph in zip(clips, own_graphs, strict=True)]
 
     def sequence(
         self,
@@ -230,7 +239,8 @@ class MotionPipeline:
             for place, (graph, length) in enumerate(zip(graphs, lengths, strict=True))
         ]
         joints = joined([clip.joints for clip in clips], self.manifest.fps)
-        return replace(clips[0], joints=joints, text=", then ".join(clip.text for clip in clips))
+        own = clips[0].graph if len(clips) == 1 else None
+        return replace(clips[0], joints=joints, text=", then ".join(clip.text for clip in clips), graph=own)
 
     def compose(
         self,
@@ -245,6 +255,7 @@ class MotionPipeline:
         guidance: Guidance | None = None,
         foot_fix: bool = True,
         on_step: OnStep | None = None,
+        on_level: OnLevel | None = None,
     ) -> Clip:
         """A clip in which several motions happen at once, or do not (EnergyMoGen, Eq. 7-10).
 
@@ -254,7 +265,7 @@ class MotionPipeline:
                 with the joint text (Eq. 10).
             text: the joint text of "fused"; None joins the positive concepts with "while".
             lambdas: of "fused": shares of latent, semantic and joint text; default (0.1, 0.3, 0.6).
-            seconds, seed, steps, guidance, foot_fix, on_step: as in `generate`.
+            seconds, seed, steps, guidance, foot_fix, on_step, on_level: as in `generate`.
 
         Raises:
             InvalidInputError: a concept, weight or option is outside what can be composed; nothing has been run.
@@ -276,15 +287,28 @@ class MotionPipeline:
         encoded = self._encode([each for own in arrays for each in own])
         weights = [one.weight * part for one, own in zip(found, terms, strict=False) for _, part in own]
         joint_weights = [part for own in terms[len(found) :] for _, part in own]
-        denoisers = Denoisers(self._sessions, self.manifest)
-        latent = denoisers.composed(encoded, weights, joint_weights, shares, options, on_step)
         caption = joint.caption if isinstance(joint, SemanticGraph) else joint
+        denoisers = self._denoisers(options, caption, on_level)
+        latent = denoisers.composed(encoded, weights, joint_weights, shares, options, on_step)
         return self._clips(latent, [options], [caption])[0]
 
-    def _clips(self, latent: FloatArray, wishes: Sequence[GenerateOptions], captions: Sequence[str]) -> list[Clip]:
-        """Latents (B, C, z) of the finest level as B clips."""
+    def _denoisers(self, options: GenerateOptions, caption: str, on_level: OnLevel | None) -> Denoisers:
+        """The diffusion models, which tell `on_level` of every level that can be decoded."""
+
+        def show(level: str, latent: FloatArray) -> None:
+            if on_level is not None and level in self._sessions.coarse_decoders:
+                on_level(level, self._clips(latent, [options], [caption], level)[0])
+
+        return Denoisers(self._sessions, self.manifest, show)
+
+    def _clips(
+        self, latent: FloatArray, wishes: Sequence[GenerateOptions], captions: Sequence[str], level: str = LEVELS[-1]
+    ) -> list[Clip]:
+        """Latents (B, C, z) of a level as B clips."""
+        coarse = self._sessions.coarse_decoders.get(level)
+        decoder = self._sessions.decoder if coarse is None else coarse()
         frames, fps = [each.frames for each in wishes], self.manifest.fps
-        motions = decode(self._sessions.decoder, self.manifest, bones_of(self._tables), latent, frames)
+        motions = decode(decoder, self.manifest, bones_of(self._tables), latent, frames)
         bundle = f"{self.manifest.name} {self.manifest.version}"
         return [
             Clip(planted_feet(joints, fps) if each.foot_fix else joints, fps, each.seed, caption, bundle)

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping, MutableMapping
+from collections.abc import Callable, Mapping, MutableMapping
 from dataclasses import dataclass
+from functools import cache, partial
 from types import MappingProxyType
 from typing import Final
 
@@ -12,7 +13,7 @@ import onnxruntime
 from onnxruntime.capi import onnxruntime_pybind11_state as _state
 
 from kinegraph.bundle import Bundle
-from kinegraph.contract import LEVELS, GraphContract, check
+from kinegraph.contract import COARSE_DECODERS, LEVELS, GraphContract, check
 from kinegraph.errors import BundleError, InvalidInputError
 
 MAX_THREADS: Final = 256
@@ -44,6 +45,8 @@ class Sessions:
     step: Mapping[str, onnxruntime.InferenceSession]
     """By level."""
     decoder: onnxruntime.InferenceSession
+    coarse_decoders: Mapping[str, Callable[[], onnxruntime.InferenceSession]]
+    """By level, as far as the bundle has them; each is made at its first use."""
 
 
 def available_cpus() -> int:
@@ -109,6 +112,9 @@ def open_sessions(
         clock=MappingProxyType({level: make(f"clock_{level}", narrow) for level in LEVELS}),
         step=MappingProxyType({level: make(f"step_{level}", narrow) for level in LEVELS}),
         decoder=make("decoder", wide),
+        coarse_decoders=MappingProxyType(
+            {level: cache(partial(make, graph, wide)) for level, graph in COARSE_DECODERS.items() if graph in contracts}
+        ),
     )
 
 

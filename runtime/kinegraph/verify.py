@@ -8,7 +8,6 @@ from pathlib import Path
 
 from kinegraph.bundle import Bundle, read_bundle
 from kinegraph.errors import BundleFormatError
-from kinegraph.manifest_checks import GRAPH_FILES
 from kinegraph.onnx_ops import summarise
 from kinegraph.sessions import open_sessions
 
@@ -38,8 +37,9 @@ def verify_bundle(path: Path | None = None) -> VerifyReport:
         BundleError: the first thing that is wrong, naming the file.
     """
     bundle = read_bundle(path)
-    operators = {name: _check_operators(bundle, name) for name in GRAPH_FILES}
-    open_sessions(bundle, threads=1)
+    operators = {name: _check_operators(bundle, name) for name in bundle.manifest.operators}
+    for open_coarse in open_sessions(bundle, threads=1).coarse_decoders.values():
+        open_coarse()
     manifest = bundle.manifest
     return VerifyReport(
         path=bundle.path,

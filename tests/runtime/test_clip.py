@@ -99,8 +99,8 @@ def test_a_saved_file_has_the_rights_of_any_new_file(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("name", "message"),
     [
-        ("walk", "no suffix.*.bvh, .gif, .glb, .npz"),
-        ("walk.mp3", "'.mp3'.*.bvh, .gif, .glb, .npz"),
+        ("walk", "no suffix.*.bvh, .gif, .glb, .html, .npz"),
+        ("walk.mp3", "'.mp3'.*.bvh, .gif, .glb, .html, .npz"),
         (".npz", "no suffix"),
         ("missing/walk.npz", "does not exist"),
         ("file.txt/walk.npz", "file.txt.*is not a folder"),

@@ -8,6 +8,7 @@ import pytest
 from synthetic_bundle import LEVEL_SPECS, filler_model
 
 from kinegraph.contract import (
+    COARSE_DECODERS,
     GRAPHS,
     LEVELS,
     GraphContract,
@@ -67,6 +68,8 @@ TABLE = {
         "noise f R,8,16",
     ),
     "decoder": ("latent f B,8,16 | frame_mask f B,L", "features f B,L,137"),
+    "decoder_motion": ("latent f B,2,16 | frame_mask f B,L", "features f B,L,137"),
+    "decoder_action": ("latent f B,4,16 | frame_mask f B,L", "features f B,L,137"),
 }
 
 
@@ -81,14 +84,14 @@ def read_table(line: str) -> tuple[TensorSpec, ...]:
 
 def test_contracts_are_the_designs_table() -> None:
     graphs = contracts(EDGE, 384, 137)
-    assert tuple(graphs) == GRAPHS == tuple(TABLE)
+    assert tuple(graphs) == (*GRAPHS, *COARSE_DECODERS.values()) == tuple(TABLE)
     for name, (inputs, outputs) in TABLE.items():
         assert graphs[name].inputs == read_table(inputs), name
         assert graphs[name].outputs == read_table(outputs), name
         assert graphs[name].file == f"{name}.onnx"
 
 
-@pytest.mark.parametrize("name", GRAPHS)
+@pytest.mark.parametrize("name", TABLE)
 def test_a_session_that_keeps_the_contract_is_accepted(name: str) -> None:
     contract = contracts(LEVEL_SPECS, 12, 137)[name]
     session = open_session(filler_model(contract), contract, session_options(1))

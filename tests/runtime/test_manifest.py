@@ -50,10 +50,9 @@ def leaf(path: tuple[Any, ...]) -> Any:
 
 ALL_PATHS = list(paths(GOOD))
 FREE_MAPS = {("provenance",), ("scope",), ("parity",), ("training",), ("quality",)}
+OPTIONAL = [("files", name) for name in ("parser.bin", "decoder_motion.onnx", "decoder_action.onnx")]
 REQUIRED = [
-    path
-    for path in ALL_PATHS
-    if path[:-1] not in FREE_MAPS and isinstance(path[-1], str) and path != ("files", "parser.bin")
+    path for path in ALL_PATHS if path[:-1] not in FREE_MAPS and isinstance(path[-1], str) and path[:2] not in OPTIONAL
 ]
 
 
@@ -91,6 +90,16 @@ def test_a_missing_key_is_named(path: tuple[Any, ...]) -> None:
     message = str(caught.value)
     assert path[-1] in message
     assert all(str(key) in message for key in path[:-1])
+
+
+def test_the_coarse_decoders_are_optional_each_with_its_operators() -> None:
+    value = copy.deepcopy(GOOD)
+    del value["files"]["decoder_motion.onnx"]
+    with pytest.raises(BundleFormatError, match="operators must have exactly the keys"):
+        decode_manifest(sealed(value))
+    del value["operators"]["decoder_motion.onnx"]
+    manifest = decode_manifest(sealed(value))
+    assert "decoder_motion" not in manifest.contracts and "decoder_action" in manifest.contracts
 
 
 def test_the_parser_is_optional() -> None:

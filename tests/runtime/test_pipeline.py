@@ -9,6 +9,7 @@ import subprocess
 import sys
 import threading
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -18,6 +19,7 @@ from same_motion import assert_same_motion
 import kinegraph
 from kinegraph import MotionPipeline
 from kinegraph.diffusion.sampler import StepInfo
+from kinegraph.edits import with_weight
 from kinegraph.errors import Cancelled, InvalidInputError
 
 RUNTIME = Path(kinegraph.__file__).resolve().parents[1]
@@ -222,3 +224,53 @@ def test_info_prints_the_licences(pipe: MotionPipeline) -> None:
     assert "CC BY-NC 4.0" in licence.weights and licence.code == "Apache-2.0"
     assert "Apache-2.0" in licence.text_encoder and "MIT" in licence.parser
     assert sum(entry.bytes for entry in pipe.manifest.files.values()) <= 64_000_000
+
+
+class StandIn:
+    """A coarser decoder where the bundle has none: remembers latents, and decodes zeros in their place."""
+
+    def __init__(self, pipe: MotionPipeline) -> None:
+        self.pipe = pipe
+        self.shapes: list[tuple[int, ...]] = []
+
+    def run(self, names: list[str], feeds: dict[str, np.ndarray]) -> list[np.ndarray]:
+        self.shapes.append(feeds["latent"].shape)
+        finest = self.pipe.manifest.levels["specific"]
+        zeros = np.zeros((len(feeds["latent"]), finest.tokens, finest.latent_width), dtype=np.float32)
+        found: list[np.ndarray] = self.pipe._sessions.decoder.run(names, {**feeds, "latent": zeros})
+        return found
+
+
+@pytest.mark.parametrize("weight", [1.0, 0.5])
+def test_each_coarser_level_is_shown_and_changes_nothing(pipe: MotionPipeline, weight: float) -> None:
+    own = copy.copy(pipe)
+    decoder = StandIn(pipe)
+    opened: list[str] = []
+
+    def open_decoder(level: str) -> StandIn:
+        opened.append(level)
+        return decoder
+
+    decoders = {level: partial(open_decoder, level) for level in ("motion", "action")}
+    own._sessions = replace(pipe._sessions, coarse_decoders=decoders)  # type: ignore[arg-type]
+    graph = with_weight(own.parse("a person walks slowly"), "slowly", weight)
+    wish = {"seconds": 2, "seed": 7, "steps": FEW}
+    shown: list[tuple[str, kinegraph.Clip]] = []
+    clip = own.generate(graph, on_level=lambda *level: shown.append(level), **wish)
+    assert [level for level, _ in shown] == ["motion", "action"] == opened
+    levels = pipe.manifest.levels
+    assert decoder.shapes == [(1, levels[name].tokens, levels[name].latent_width) for name, _ in shown]
+    for _, coarse in shown:
+        assert (coarse.frames, coarse.seed, coarse.text) == (clip.frames, clip.seed, clip.text)
+    assert clip.joints.tobytes() == pipe.generate(graph, **wish).joints.tobytes()
+    assert clip.graph == graph
+    own.generate(graph, **wish)
+    assert opened == ["motion", "action"]  # not even decoded where nobody looks
+
+
+def test_a_bundle_without_coarse_decoders_shows_no_level(pipe: MotionPipeline) -> None:
+    bare = copy.copy(pipe)
+    bare._sessions = replace(pipe._sessions, coarse_decoders={})
+    shown: list[str] = []
+    bare.compose(["a person walks"], seconds=1, seed=1, steps=1, on_level=lambda level, _: shown.append(level))
+    assert shown == []

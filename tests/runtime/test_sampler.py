@@ -37,6 +37,17 @@ def test_every_step_of_every_level_is_told_in_order() -> None:
     assert [info.timestep for info in seen[:3]] == SCHEDULE.timesteps(3).tolist()
 
 
+def test_every_level_is_told_with_its_final_latent_before_the_next_begins() -> None:
+    told: list[tuple[str, np.ndarray, int]] = []
+    steps: list[StepInfo] = []
+    latents = coarse_to_fine(
+        PLANS, noises(1, 2), predictor, SCHEDULE, steps.append, lambda *level: told.append((*level, len(steps)))
+    )
+    assert [(level, done) for level, _, done in told] == [("motion", 3), ("action", 5), ("specific", 9)]
+    for (_, latent, _), final in zip(told, latents, strict=True):
+        np.testing.assert_array_equal(latent, final)
+
+
 @pytest.mark.parametrize("stop", [1, 3, 4, 9])
 def test_false_stops_at_once(stop: int) -> None:
     calls: list[int] = []

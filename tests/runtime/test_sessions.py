@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import onnxruntime
 import pytest
-from synthetic_bundle import LEVEL_SPECS, filler_model, write_bundle
+from synthetic_bundle import LEVEL_SPECS, bundle_files, filler_model, write_bundle
 
 from kinegraph.bundle import Bundle, read_bundle
 from kinegraph.contract import LEVELS, contracts
@@ -79,3 +81,22 @@ def test_what_onnxruntime_refuses_is_a_bundle_error_naming_the_graph(cut: int) -
     contract = contracts(LEVEL_SPECS, 12, 137)["step_motion"]
     with pytest.raises(BundleError, match=r"step_motion\.onnx"):
         open_session(filler_model(contract)[:cut], contract, session_options(1))
+
+
+def test_coarse_decoders_are_made_at_their_first_use_and_kept(bundle: Bundle, monkeypatch: pytest.MonkeyPatch) -> None:
+    made: list[int] = []
+    make = onnxruntime.InferenceSession
+    monkeypatch.setattr(onnxruntime, "InferenceSession", lambda *a, **k: made.append(len(a[0])) or make(*a, **k))
+    sessions = open_sessions(bundle)
+    before = len(made)
+    first = sessions.coarse_decoders["motion"]()
+    assert sessions.coarse_decoders["motion"]() is first and len(made) == before + 1
+    contract = bundle.manifest.contracts["decoder_motion"]
+    assert [tensor.name for tensor in first.get_inputs()] == [spec.name for spec in contract.inputs]
+    assert first.get_inputs()[0].shape[1] == LEVEL_SPECS["motion"].tokens
+
+
+def test_a_bundle_need_not_have_coarse_decoders(tmp_path: Path) -> None:
+    files = {name: data for name, data in bundle_files().items() if not name.startswith("decoder_")}
+    sessions = open_sessions(read_bundle(write_bundle(tmp_path / "bundle", files)))
+    assert sessions.coarse_decoders == {}

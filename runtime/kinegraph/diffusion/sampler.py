@@ -52,6 +52,10 @@ OnStep = Callable[[StepInfo], bool | None]
 """Called after every step; returning False stops the run."""
 
 
+OnLatent = Callable[[str, FloatArray], None]
+"""Called after every level with its name and its final latent (B, C, z)."""
+
+
 def initial_noise(seed: int, plans: Sequence[LevelPlan]) -> tuple[FloatArray, ...]:
     """One sample's starting noise per level, (C, z) each, drawn in the order of the levels from the sample's own
     generator: neighbours in a batch do not change it, nor is any global state touched."""
@@ -80,6 +84,7 @@ def coarse_to_fine(
     predictor_for: PredictorFor,
     schedule: NoiseSchedule,
     on_step: OnStep | None = None,
+    on_latent: OnLatent | None = None,
 ) -> tuple[FloatArray, ...]:
     """Run all levels.
 
@@ -89,6 +94,7 @@ def coarse_to_fine(
         predictor_for: makes a level's predictor; keys and values of the level are computed there, once.
         schedule: of all levels.
         on_step: told of every step; returning False stops.
+        on_latent: told of every level that is done.
 
     Returns:
         The final latent (B, C, z) of every level.
@@ -114,4 +120,6 @@ def coarse_to_fine(
         except NonFiniteError as error:
             raise NonFiniteError(f"level {plan.name}: {error}") from error
         done += plan.steps
+        if on_latent is not None:
+            on_latent(plan.name, latents[-1])
     return tuple(latents)

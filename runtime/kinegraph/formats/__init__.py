@@ -18,6 +18,7 @@ WRITERS: Final[dict[str, str]] = {
     ".bvh": "kinegraph.formats.bvh",
     ".gif": "kinegraph.formats.gif",
     ".glb": "kinegraph.formats.glb",
+    ".html": "kinegraph.formats.html",
     ".npz": "kinegraph.formats.npz",
     ".png": "kinegraph.formats.png",
 }

@@ -91,9 +91,9 @@ def _origin(clip: Clip) -> dict[str, Any]:
 def _mesh(buffer: _Buffer, rest: NDArray[Any]) -> dict[str, Any]:
     body = rest_body(rest)
     carried = np.zeros((len(body.joints), 4), dtype=np.uint8)
-    carried[:, 0] = body.joints
+    carried[:, :2] = body.joints
     weights = np.zeros(carried.shape, dtype=np.float32)
-    weights[:, 0] = 1.0
+    weights[:, :2] = body.weights
     attributes = {
         "POSITION": buffer.add(body.positions.astype(np.float32), target=ARRAY_BUFFER, bounds=True),
         "NORMAL": buffer.add(body.normals.astype(np.float32), target=ARRAY_BUFFER),

@@ -1,6 +1,7 @@
 """`.npz`: the clip as NumPy arrays, without pickle.
 
-`joints` (frames, 22, 3) float32 metres, `fps`, `seed`, `text`, `joint_names`, `bundle`.
+`joints` (frames, 22, 3) float32 metres, `fps`, `seed`, `text`, `joint_names`, `bundle`, and `graph`, the JSON of the
+semantic graph where the clip has one.
 """
 
 from __future__ import annotations
@@ -15,7 +16,8 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from kinegraph.errors import InvalidInputError
+from kinegraph.errors import InvalidGraphError, InvalidInputError
+from kinegraph.graph import SemanticGraph
 from kinegraph.motion.skeleton import JOINT_NAMES
 
 if TYPE_CHECKING:
@@ -30,6 +32,7 @@ _UNREADABLE: Final = (
 """What NumPy and zipfile raise over files that are no archive, cut short, encrypted or pickled."""
 
 _NAMES: Final = ("joints", "fps", "seed", "text", "joint_names", "bundle")
+_GRAPH: Final = "graph"
 
 
 def encode(clip: Clip) -> bytes:
@@ -42,9 +45,11 @@ def encode(clip: Clip) -> bytes:
         "joint_names": np.array(JOINT_NAMES),
         "bundle": np.array(clip.bundle),
     }
+    if clip.graph is not None:
+        arrays[_GRAPH] = np.array(clip.graph.to_json())
     buffer = io.BytesIO()
     with zipfile.ZipFile(buffer, "w", zipfile.ZIP_STORED) as archive:
-        for name in _NAMES:
+        for name in arrays:
             entry = zipfile.ZipInfo(f"{name}.npy", date_time=_EPOCH)
             entry.create_system = _UNIX
             entry.external_attr = 0o644 << 16
@@ -62,18 +67,23 @@ def read_npz(path: str | os.PathLike[str]) -> Clip:
 
     try:
         with np.load(Path(path), allow_pickle=False) as pack:
-            fields = {name: pack[name] for name in _NAMES}
+            fields = {name: pack[name] for name in (*_NAMES, *({_GRAPH} & {*pack.files}))}
     except FileNotFoundError as error:
         raise InvalidInputError(f"there is no file {str(path)!r}; name a clip saved as .npz") from error
     except _UNREADABLE as error:
         raise InvalidInputError(f"{str(path)!r} is no clip that kinegraph saved ({error})") from error
     if tuple(fields["joint_names"].ravel().tolist()) != JOINT_NAMES:
         raise InvalidInputError(f"{str(path)!r} has other joints; kinegraph reads {', '.join(JOINT_NAMES)}")
-    scalars = {name: fields[name] for name in ("fps", "seed", "text", "bundle")}
+    scalars = {name: fields[name] for name in ("fps", "seed", "text", "bundle", _GRAPH) if name in fields}
     odd = [name for name, value in scalars.items() if value.shape != ()]
     if odd:
         raise InvalidInputError(f"{', '.join(odd)} of {str(path)!r} must be a single value each")
-    return Clip(joints=fields["joints"], **{name: value.item() for name, value in scalars.items()})
+    values = {name: value.item() for name, value in scalars.items()}
+    try:
+        graph = SemanticGraph.from_json(values.pop(_GRAPH)) if _GRAPH in values else None
+    except (InvalidGraphError, TypeError) as error:  # TypeError: it is no text
+        raise InvalidInputError(f"{str(path)!r}: {error}") from error
+    return Clip(joints=fields["joints"], graph=graph, **values)
 
 
 def _npy(array: NDArray[Any]) -> bytes:

@@ -12,6 +12,7 @@ from kinegraph.errors import InvalidInputError
 from kinegraph.formats import encode
 from kinegraph.formats.atomic import check_target, suffix_of, write_atomically
 from kinegraph.formats.joint_names import DEFAULT_NAMES
+from kinegraph.graph import SemanticGraph
 from kinegraph.motion.retiming import check_fps, in_place, looped, resampled
 from kinegraph.motion.skeleton import JOINTS, FloatArray
 
@@ -41,6 +42,9 @@ class Clip:
     bundle: str
     """Name and version of the bundle that made it."""
 
+    graph: SemanticGraph | None = None
+    """The graph it was made from, edits included; None where there was none, or more than one."""
+
     def __post_init__(self) -> None:
         object.__setattr__(self, "joints", _checked_joints(self.joints))
         if isinstance(self.fps, bool) or not isinstance(self.fps, int | float | np.number):
@@ -53,6 +57,8 @@ class Clip:
         for name in ("text", "bundle"):
             if not isinstance(getattr(self, name), str):
                 raise InvalidInputError(f"{name} is {getattr(self, name)!r}; it must be a string")
+        if not isinstance(self.graph, SemanticGraph | None):
+            raise InvalidInputError(f"graph is of type {type(self.graph).__name__}; it must be a SemanticGraph or None")
         object.__setattr__(self, "fps", float(self.fps))
         object.__setattr__(self, "seed", int(self.seed))
 

@@ -1,0 +1,112 @@
+"""The page of clips in a browser: it draws, it moves, it obeys, on a desk and on a phone."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from browsing import Open, changed, shown, time_of, wait_until
+from cli_runs import whole
+from motions import walk
+
+from kinegraph.formats.html import page as page_of
+from kinegraph.motion.clip import Clip
+
+HOSTILE = "</script><img src=x onerror=alert(1)> \u2028 走る"
+
+
+def clip(text: str = "a person walks", frames: int = 60) -> Clip:
+    return Clip(walk(frames), 20.0, 7, text, "edge 1.2", whole(text))
+
+
+@pytest.fixture(scope="module")
+def one(tmp_path_factory: pytest.TempPathFactory) -> str:
+    file = tmp_path_factory.mktemp("page") / "one.html"
+    file.write_bytes(page_of([clip()]))
+    return file.as_uri()
+
+
+def test_the_body_is_drawn_and_moves_with_time(open_page: Open, one: str) -> None:
+    page = open_page(one)
+    early, late, again = shown(page, 0.5), shown(page, 1.2), shown(page, 0.5)
+    assert changed(early, again) == 0
+    assert changed(early, late) > 0.01
+
+
+def test_it_plays_pauses_and_slows_down(open_page: Open, one: str) -> None:
+    page = open_page(one)
+    page.wait_for_timeout(200)
+    assert time_of(page) == 0
+    page.get_by_role("button", name="Play").click()
+    wait_until(page, lambda: time_of(page) > 0.3)
+    page.get_by_role("button", name="Pause").click()
+    page.wait_for_timeout(200)
+    stopped = time_of(page)
+    page.wait_for_timeout(300)
+    assert time_of(page) == stopped
+    page.get_by_label("Speed").select_option("0.25")
+    page.get_by_role("button", name="Play").click()
+    page.wait_for_timeout(800)
+    assert 0 < time_of(page) - stopped < 0.6
+
+
+def test_it_plays_by_itself_unless_less_motion_is_wished(open_page: Open, one: str) -> None:
+    page = open_page(one, reduced_motion="no-preference")
+    wait_until(page, lambda: time_of(page) > 0.1)
+
+
+def test_the_keyboard_does_it_all(open_page: Open, one: str) -> None:
+    page = open_page(one)
+    shown(page, 1.0)
+    page.locator("body").press(".")
+    page.wait_for_timeout(200)
+    assert time_of(page) == pytest.approx(1.05)
+    page.locator("body").press(",")
+    page.wait_for_timeout(200)
+    assert time_of(page) == pytest.approx(1.0)
+    page.locator("body").press(" ")
+    assert page.get_by_role("button", name="Pause").is_visible()
+    page.locator("body").press(" ")
+    before = shown(page, 1.0)
+    for key in ("ArrowLeft", "ArrowUp", "+"):
+        page.locator("canvas").press(key)
+    page.wait_for_timeout(300)
+    turned = shown(page, 1.0)
+    assert changed(before, turned) > 0.02
+    page.locator("body").press("0")
+    page.wait_for_timeout(300)
+    assert changed(before, shown(page, 1.0)) == 0
+
+
+def test_dragging_turns_the_camera(open_page: Open, one: str) -> None:
+    page = open_page(one)
+    before = shown(page, 1.0)
+    page.mouse.move(150, 150)
+    page.mouse.down()
+    page.mouse.move(260, 170, steps=4)
+    page.mouse.up()
+    page.wait_for_timeout(400)
+    assert changed(before, shown(page, 1.0)) > 0.02
+
+
+def test_caption_and_graph_stand_beside_it_whatever_they_say(open_page: Open, tmp_path: Path) -> None:
+    (tmp_path / "page.html").write_bytes(page_of([clip(HOSTILE), clip("another")]))
+    page = open_page((tmp_path / "page.html").as_uri(), 1000, 600)
+    assert page.locator("canvas").get_attribute("data-panes") == "2"
+    assert page.locator(".clip h2").all_text_contents() == [HOSTILE, "another"]
+    assert page.locator(".panes p").all_text_contents() == [HOSTILE, "another"]
+    assert page.locator(".clip .node .words").all_text_contents() == [HOSTILE, "another"]
+    assert page.locator("img").count() == 0
+
+
+@pytest.mark.parametrize(("width", "height"), [(390, 844), (1280, 800)])
+def test_nothing_is_cut_off(open_page: Open, one: str, width: int, height: int) -> None:
+    page = open_page(one, width, height)
+    assert page.evaluate("document.documentElement.scrollWidth") <= width
+    box = page.locator("canvas").bounding_box()
+    assert box is not None and box["height"] > 0.4 * height
+
+
+def test_it_is_dark_where_that_is_wished(open_page: Open, one: str) -> None:
+    light, dark = (shown(open_page(one, color_scheme=scheme), 1.0) for scheme in ("light", "dark"))
+    assert changed(light, dark) > 0.8

@@ -1,0 +1,119 @@
+"""Turns: one at a time, tabs in rotation, bounded, and none lost when those who wait go away."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Awaitable, Callable
+
+import pytest
+
+pytest.importorskip("starlette")
+
+from kinegraph.play.turns import TooBusyError, Turns
+
+
+class Log:
+    """Requests that hold their turn until told, and the order in which they had it."""
+
+    def __init__(self, turns: Turns) -> None:
+        self.turns = turns
+        self.order: list[str] = []
+        self.at_once = 0
+        self._most_at_once = 0
+
+    async def ask(self, name: str) -> None:
+        async with self.turns.turn(name[0]):
+            self.at_once += 1
+            self._most_at_once = max(self._most_at_once, self.at_once)
+            self.order.append(name)
+            try:
+                await asyncio.sleep(0.001)
+            finally:
+                self.at_once -= 1
+        assert self._most_at_once == 1
+
+
+def run(body: Callable[[], Awaitable[None]]) -> None:
+    asyncio.run(asyncio.wait_for(body(), 10))  # type: ignore[arg-type]
+
+
+async def started(log: Log, *names: str) -> list[asyncio.Task[None]]:
+    tasks = []
+    for name in names:
+        tasks.append(asyncio.create_task(log.ask(name)))
+        await asyncio.sleep(0)
+    return tasks
+
+
+def test_tabs_take_turns_however_much_one_of_them_asks() -> None:
+    async def body() -> None:
+        log = Log(Turns())
+        await asyncio.gather(*await started(log, "a1", "a2", "a3", "a4", "b1", "c1", "b2"))
+        assert log.order == ["a1", "a2", "b1", "c1", "a3", "b2", "a4"]
+        assert len(log.turns) == 0
+
+    run(body)
+
+
+def test_how_many_are_ahead_is_never_understated() -> None:
+    async def body() -> None:
+        log = Log(Turns())
+        tasks = await started(log, "a1")
+        assert log.turns.ahead("b") == 1
+        tasks += await started(log, "a2", "a3", "c1")
+        assert log.turns.ahead("b") == 3  # a1, then a2 and c1
+        tasks += await started(log, "b1")
+        await asyncio.gather(*tasks)
+        assert log.order.index("b1") <= 3
+        assert log.turns.ahead("b") == 0
+
+    run(body)
+
+
+def test_a_full_queue_says_so_and_goes_on() -> None:
+    async def body() -> None:
+        log = Log(Turns(most=3, per_tab=2))
+        tasks = await started(log, "a1", "a2", "a3")
+        with pytest.raises(TooBusyError, match="2 requests are waiting"):
+            await log.ask("a4")
+        tasks += await started(log, "b1")
+        with pytest.raises(TooBusyError, match="3 requests are waiting"):
+            log.turns.check_room("c")
+        await asyncio.gather(*tasks)
+        assert log.order == ["a1", "a2", "b1", "a3"]
+        await log.ask("a5")
+
+    run(body)
+
+
+@pytest.mark.parametrize("leaves", ["a1", "a2", "b1", "b2"])
+def test_whoever_leaves_holds_up_nobody(leaves: str) -> None:
+    async def body() -> None:
+        log = Log(Turns())
+        names = ["a1", "a2", "b1", "b2"]
+        tasks = await started(log, *names)
+        tasks[names.index(leaves)].cancel()
+        await asyncio.gather(*tasks, return_exceptions=True)
+        assert {*log.order} | {leaves} == {*names}
+        await log.ask("c1")
+        assert len(log.turns) == 0
+
+    run(body)
+
+
+def test_a_turn_that_came_to_one_who_just_left_passes_on() -> None:
+    async def body() -> None:
+        turns = Turns()
+        first, second, third = (turns.turn(name) for name in "abc")
+        await first.__aenter__()
+        waits = asyncio.create_task(second.__aenter__())
+        last = asyncio.create_task(third.__aenter__())
+        await asyncio.sleep(0)
+        await first.__aexit__(None, None, None)  # b's turn comes,
+        waits.cancel()  # and b goes before it notices
+        await last
+        await third.__aexit__(None, None, None)
+        async with turns.turn("d"):
+            pass
+
+    run(body)

@@ -1,0 +1,22 @@
+// What stands beside clips that are in the page: caption, facts, graph.
+import { element } from "./elements.js";
+import { drawGraph } from "./graph.js";
+
+/** "4.0 s, 80 frames at 20 per second, seed 7, edge 0.2.0". */
+export function facts(clip) {
+  const seconds = (clip.frames / clip.fps).toFixed(1);
+  return `${seconds} s, ${clip.frames} frames at ${clip.fps} per second, seed ${clip.seed}, ${clip.bundle}`;
+}
+
+export function describeClips(side, clips) {
+  side.append(element("header", {}, element("h1", {}, "kinegraph")));
+  for (const clip of clips) {
+    const box = element("section", { class: "clip" }, element("h2", {}, clip.text), element("p", { class: "facts" }, facts(clip)));
+    if (clip.graph) {
+      const graph = element("div", { class: "graph" });
+      drawGraph(graph, clip.graph, clip.text);
+      box.append(graph);
+    }
+    side.append(box);
+  }
+}

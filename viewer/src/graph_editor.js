@@ -1,0 +1,82 @@
+// The graph of the sentence in the box: parsed while one types, edited by the server, weighed here.
+import * as api from "./api.js";
+import { drawGraph, isPlain, withWeight } from "./graph.js";
+
+const PAUSE = 350; // milliseconds without a key before a sentence is parsed
+
+export function createGraphEditor(side, text, play, { again, fail }) {
+  const [section, box, reset] = [".graph-box", ".graph", ".as-parsed"].map((name) => side.querySelector(name));
+  let graph = null;
+  let source = null; // the sentence that the graph belongs to
+  let edited = false;
+  let shown = true;
+  let timer = 0;
+  let asked = null;
+
+  const current = () => graph !== null && source === text.value.trim();
+
+  function set(found, changed) {
+    graph = found;
+    source = text.value.trim();
+    edited = changed;
+    reset.hidden = !edited;
+    section.hidden = !shown || !graph;
+    if (graph) drawGraph(box, graph, source, { weigh, change, roles: play.roles });
+  }
+
+  function weigh(number, weight) {
+    graph = withWeight(graph, number, weight);
+    edited = true;
+    reset.hidden = false;
+    again();
+  }
+
+  async function change(edit) {
+    try {
+      set(await api.edit(graph, edit), true);
+      fail(null);
+      again();
+    } catch (error) {
+      fail(error);
+    }
+  }
+
+  async function parse() {
+    clearTimeout(timer);
+    asked?.abort();
+    const sentence = text.value.trim();
+    if (!sentence) return set(null, false);
+    const own = (asked = new AbortController());
+    try {
+      const found = await api.parse(sentence, own.signal);
+      if (text.value.trim() === sentence) set(found, false);
+      fail(null);
+    } catch (error) {
+      if (error.name !== "AbortError") fail(error);
+    }
+  }
+
+  text.addEventListener("input", () => {
+    clearTimeout(timer);
+    timer = setTimeout(parse, PAUSE);
+  });
+  reset.addEventListener("click", async () => {
+    await parse();
+    again();
+  });
+
+  return {
+    /** The sentence, or its graph where that has been edited. */
+    wish: () => (current() && edited ? { text: source, graph } : { text: text.value.trim() }),
+    /** What the server made of the sentence, unless there is a graph of it already. */
+    parsed(found, asking) {
+      clearTimeout(timer);
+      if (!current() && asking.text === text.value.trim()) set(found, !isPlain(found));
+    },
+    set: (found) => set(found, true),
+    visible(is) {
+      shown = is;
+      section.hidden = !shown || !graph;
+    },
+  };
+}

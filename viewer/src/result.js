@@ -1,0 +1,48 @@
+// What stands below the form: facts, latency of each stage, files, the link.
+import * as api from "./api.js";
+import { facts } from "./describe.js";
+import { element } from "./elements.js";
+import { linkOf } from "./link.js";
+
+export function createResult(box, play, fail) {
+  const [names, link] = [".names", ".link"].map((name) => box.querySelector(name));
+  let wish = null;
+
+  async function download(suffix) {
+    try {
+      const named = play.named.includes(suffix) ? names.value : "smpl";
+      const url = URL.createObjectURL(await api.file(wish, suffix, named));
+      element("a", { href: url, download: `clip${suffix}` }).click();
+      setTimeout(() => URL.revokeObjectURL(url), 10_000);
+      fail(null);
+    } catch (error) {
+      fail(error);
+    }
+  }
+
+  box.querySelector(".downloads").append(
+    ...play.files.map((suffix) =>
+      element("button", { type: "button", "data-suffix": suffix, onclick: () => download(suffix) }, suffix.slice(1).toUpperCase()),
+    ),
+  );
+  link.addEventListener("click", async () => {
+    const url = linkOf(wish);
+    history.replaceState(null, "", url);
+    await navigator.clipboard?.writeText(url).catch(() => {}); // without the right to, it stands in the address bar
+    link.textContent = "Copied";
+    setTimeout(() => (link.textContent = "Link"), 1500);
+  });
+
+  return {
+    /** made: the server's event; asked: the wish with the clip's seed; waited: milliseconds since the button. */
+    show(made, asked, waited) {
+      wish = asked;
+      box.hidden = false;
+      box.querySelector(".facts").textContent = facts(made.clip);
+      const rows = [...Object.entries(made.stages), ["until seen", waited]];
+      box.querySelector(".stages").replaceChildren(
+        ...rows.map(([stage, ms]) => element("div", {}, element("dt", {}, stage), element("dd", {}, `${ms.toFixed(0)} ms`))),
+      );
+    },
+  };
+}

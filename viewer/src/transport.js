@@ -1,0 +1,77 @@
+// Play, pause, scrub, speed; the keyboard for all of them. Nothing is drawn while nothing moves.
+const HOLD = 0.5; // seconds that the last pose stays before the clip begins again
+
+export function createTransport(box, stage) {
+  const [play, scrub, clock, speed, camera] = [".play", ".scrub", ".clock", ".speed", ".camera"].map((name) =>
+    box.querySelector(name),
+  );
+  let time = 0;
+  let playing = false;
+  let last = 0;
+
+  function place(seconds) {
+    time = seconds;
+    const shown = Math.min(Math.max(time, 0), stage.duration);
+    scrub.max = stage.duration;
+    scrub.step = stage.frame;
+    scrub.value = shown;
+    const words = `${shown.toFixed(1)} / ${stage.duration.toFixed(1)} s`;
+    clock.textContent = words;
+    scrub.setAttribute("aria-valuetext", words);
+    stage.at(shown);
+  }
+
+  function tick(now) {
+    if (!playing) return;
+    const next = time + ((now - last) / 1000) * Number(speed.value);
+    last = now;
+    place(next > stage.duration + HOLD ? 0 : next);
+    requestAnimationFrame(tick);
+  }
+
+  function setPlaying(wanted) {
+    if (wanted && time >= stage.duration) time = 0;
+    const begins = wanted && !playing;
+    playing = wanted && stage.duration > 0;
+    play.setAttribute("aria-label", playing ? "Pause" : "Play");
+    play.classList.toggle("on", playing);
+    if (begins && playing) {
+      last = performance.now();
+      requestAnimationFrame(tick);
+    }
+  }
+
+  function step(frames) {
+    setPlaying(false);
+    place(Math.min(Math.max(Math.min(time, stage.duration) + frames * stage.frame, 0), stage.duration));
+  }
+
+  play.addEventListener("click", () => setPlaying(!playing));
+  camera.addEventListener("click", stage.recentre);
+  scrub.addEventListener("input", () => {
+    setPlaying(false);
+    place(Number(scrub.value));
+  });
+  document.addEventListener("keydown", (event) => {
+    if (event.ctrlKey || event.metaKey || event.altKey) return;
+    if (event.target.closest("textarea, select, button, summary, input:not([type=range])")) return;
+    const act = { " ": () => setPlaying(!playing), ",": () => step(-1), ".": () => step(1), 0: stage.recentre }[event.key];
+    if (!act) return;
+    event.preventDefault();
+    act();
+  });
+  place(0);
+
+  return {
+    /** From the beginning; at once, unless the reader asked for less motion. */
+    restart() {
+      place(0);
+      setPlaying(!matchMedia("(prefers-reduced-motion: reduce)").matches);
+    },
+    /** The clips have changed under a clip that plays on. */
+    refresh() {
+      place(Math.min(time, stage.duration));
+      setPlaying(playing);
+    },
+  };
+}
