@@ -45,7 +45,7 @@ from kinegraph.pipeline import MotionPipeline
 from kinegraph.tables import bones_of
 from kinegraph.text.roles import ROLES
 from kinegraph_export.checkpoints import read_run
-from kinegraph_export.graphs import KEPT_IN_FLOAT, Precision, Trained, export_graphs, level_specs
+from kinegraph_export.graphs import IN_BLOCKS, KEPT_IN_FLOAT, Precision, Trained, export_graphs, level_specs
 from kinegraph_export.parity import ParityError
 from kinegraph_export.pipeline_parity import Request, torch_joints
 from kinegraph_export.sources import MINILM, SPACY_MODEL
@@ -148,7 +148,9 @@ def numbers(operators: dict[str, tuple[str, ...]], precision: Precision) -> str:
     halves = "float32 arithmetic on weights stored as float16"
     own = {
         "fp32": f"all networks: {halves}",
-        "int8": f"denoisers: int8, activations with one scale per tensor and run; {', '.join(KEPT_IN_FLOAT)}: {halves}",
+        "int8": "denoisers: int8, activations with one scale per tensor and run; "
+        f"{', '.join(each for each in IN_BLOCKS if f'{each}.onnx' in operators)}: float32 arithmetic on weights stored "
+        f"in int8 blocks; {', '.join(each for each in KEPT_IN_FLOAT if f'{each}.onnx' in operators)}: {halves}",
     }[precision]
     return f"{own}; text encoder: " + ("weights in int8 blocks" if blocks else "float32 throughout")
 

@@ -24,7 +24,7 @@ from onnx import numpy_helper
 from torch import nn
 
 from kinegraph.bundle import Bundle, read_bundle
-from kinegraph.contract import COARSE_DECODERS, LEVELS, GraphContract, contracts
+from kinegraph.contract import COARSE_DECODERS, LEVELS, OPTIONAL_GRAPHS, GraphContract, contracts
 from kinegraph.errors import InvalidInputError
 from kinegraph_export.graphs import Trained, graph_modules, traced
 from kinegraph_training.config import Preset, read_preset
@@ -115,7 +115,7 @@ def hierarchy_of(bundle: Bundle, config: DenoiserConfig, vaes: Path) -> tuple[Hi
             statistics |= {f"{level}_{name}": decoder[name] for name in ("centre", "scale")}
     unit = torch.ones(shapes[LEVELS[-1]].tokens, shapes[LEVELS[-1]].width)
     for name, module in graph_modules(Trained(hierarchy, own.vae, unit, unit)).items():
-        if name != "decoder":
+        if name != "decoder" and name not in OPTIONAL_GRAPHS:
             contract = declared[name]
             recovered(module, contract, manifest.frames.per_token, bundle.files[contract.file])
     return hierarchy, statistics
