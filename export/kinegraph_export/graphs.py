@@ -18,7 +18,6 @@ from kinegraph.contract import (
     COARSE_DECODERS,
     LEVELS,
     NODE_KINDS,
-    OPTIONAL_GRAPHS,
     GraphContract,
     LevelSpec,
     contracts,
@@ -36,9 +35,9 @@ from kinegraph_export.modules import (
     MotionContextGraph,
     StepGraph,
 )
-from kinegraph_export.onnx_export import halved_weights, serialised, stripped, to_onnx
+from kinegraph_export.onnx_export import halved_weights, int8_weights, serialised, stripped, to_onnx
 from kinegraph_export.parity import Draw, max_difference, module_arguments, relative_error
-from kinegraph_export.quantise import dynamic_int8, int8_blocks, optimised
+from kinegraph_export.quantise import dynamic_int8, optimised
 from kinegraph_training.models.agd import AgdStepNetwork
 from kinegraph_training.models.hierarchy import Hierarchy
 from kinegraph_training.models.vae import MotionVae
@@ -47,9 +46,9 @@ Precision = Literal["fp32", "int8"]
 
 KEPT_IN_FLOAT = ("graph_encoder", "decoder", *AGD_CONTEXTS.values())
 """Graphs whose numbers stay float32 in an int8 bundle."""
-IN_BLOCKS = (*AGD_STEPS.values(), *COARSE_DECODERS.values())
-"""Graphs whose weights are int8 in an int8 bundle, and whose activations stay float32: adaptive gradient descent moves
-a context by thousandths, which one scale per tensor would round away."""
+STORED_INT8 = (*AGD_STEPS.values(), *COARSE_DECODERS.values())
+"""Graphs that an int8 bundle stores as int8 and computes in float32: adaptive gradient descent moves a context by
+thousandths, which int8 activations would round away."""
 
 
 @dataclass(frozen=True)
@@ -167,11 +166,10 @@ def _values(name: str, shape: tuple[int, ...], size: dict[str, int], rng: np.ran
 
 
 def traced(module: nn.Module, contract: GraphContract, frames_per_token: int) -> onnx.ModelProto:
-    """A module as ONNX with fused operators; without them for adaptive gradient descent, because the weights of a fused
-    `Attention` cannot be stored in blocks."""
+    """A module as ONNX with fused operators."""
     sample = drawn_inputs(contract, frames_per_token)(np.random.Generator(np.random.PCG64(1)))
     return to_onnx(
-        module if contract.name in AGD_STEPS.values() else fused(module),
+        fused(module),
         tuple(module_arguments(contract, sample)),
         [spec.name for spec in contract.inputs],
         [spec.name for spec in contract.outputs],
@@ -193,7 +191,7 @@ def export_graph(
     data = serialised(halved_weights(copy.deepcopy(model)))
     parity = {contract.name: max_difference(data, module, contract, draw)}
     if precision == "int8" and contract.name not in KEPT_IN_FLOAT:
-        smaller = int8_blocks(model) if contract.name in IN_BLOCKS else optimised(dynamic_int8(model))
+        smaller = int8_weights(model) if contract.name in STORED_INT8 else optimised(dynamic_int8(model))
         data = serialised(halved_weights(stripped(smaller)))
         parity[f"int8_{contract.name}"] = relative_error(data, module, contract, draw)
     return data, parity

@@ -10,7 +10,6 @@ from pathlib import Path
 import onnx
 import onnxruntime
 from onnxruntime.quantization import QuantType, quantize_dynamic
-from onnxruntime.quantization.matmul_nbits_quantizer import MatMulNBitsQuantizer
 
 from kinegraph.sessions import DISABLED_OPTIMIZERS
 
@@ -44,18 +43,6 @@ def dynamic_int8(model: onnx.ModelProto, operators: Sequence[str] = MATRIX_PRODU
         finally:
             logging.disable(logging.NOTSET)
         return onnx.load(target)
-
-
-def int8_blocks(model: onnx.ModelProto, size: int = 64, *, activations: bool = False) -> onnx.ModelProto:
-    """Constant matrices of matrix products in int8 with one scale per `size` numbers of a column (MatMulNBits).
-
-    Activations stay float32; with `activations` they become int8 at every run, with a scale per block too.
-    """
-    logging.getLogger("onnxruntime.quantization.matmul_nbits_quantizer").setLevel(logging.WARNING)
-    level = 4 if activations else 1
-    blocks = MatMulNBitsQuantizer(model, bits=8, block_size=size, is_symmetric=True, accuracy_level=level)
-    blocks.process()
-    return blocks.model.model
 
 
 def optimised(model: onnx.ModelProto) -> onnx.ModelProto:

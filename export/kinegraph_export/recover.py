@@ -110,8 +110,10 @@ def hierarchy_of(bundle: Bundle, config: DenoiserConfig, vaes: Path) -> tuple[Hi
     declared = contracts(manifest.levels, config.text_width, len(manifest.features.mean))
     statistics = {}
     for level, graph in ((LEVELS[-1], "decoder"), *COARSE_DECODERS.items()):
-        if declared[graph].file in bundle.files:
-            decoder = numbers(onnx.load_model_from_string(bundle.files[declared[graph].file]))
+        file = declared[graph].file
+        if file in manifest.files:
+            data = bundle.files[file] if level == LEVELS[-1] else bundle.optional(file)
+            decoder = numbers(onnx.load_model_from_string(data))
             statistics |= {f"{level}_{name}": decoder[name] for name in ("centre", "scale")}
     unit = torch.ones(shapes[LEVELS[-1]].tokens, shapes[LEVELS[-1]].width)
     for name, module in graph_modules(Trained(hierarchy, own.vae, unit, unit)).items():

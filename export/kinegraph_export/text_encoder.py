@@ -6,16 +6,18 @@ b captions, t word pieces, d = 384.
 from __future__ import annotations
 
 import hashlib
+import logging
 from pathlib import Path
 
 import onnx
 import torch
+from onnxruntime.quantization.matmul_nbits_quantizer import MatMulNBitsQuantizer
 from safetensors.torch import load as load_safetensors
 from torch import Tensor, nn
 
 from kinegraph.errors import BundleIntegrityError, InvalidInputError
 from kinegraph_export.onnx_export import serialised, stripped, to_onnx
-from kinegraph_export.quantise import dynamic_int8, int8_blocks
+from kinegraph_export.quantise import dynamic_int8
 from kinegraph_export.sources import MINILM, checked_wheel
 from kinegraph_training.models.transformer import MASKED, attend, merge_heads, split_heads
 
@@ -136,4 +138,8 @@ def quantised(model: onnx.ModelProto) -> onnx.ModelProto:
     Plain dynamic quantisation scales each activation tensor as a whole: cosine of hidden states to fp32 down to 0.967
     on real captions, against 0.997 this way, and states then depend on the other captions of a batch.
     """
-    return stripped(int8_blocks(dynamic_int8(model, ["Gather"]), 128, activations=True))
+    tabled = dynamic_int8(model, ["Gather"])
+    logging.getLogger("onnxruntime.quantization.matmul_nbits_quantizer").setLevel(logging.WARNING)
+    blocks = MatMulNBitsQuantizer(tabled, bits=8, block_size=128, is_symmetric=True, accuracy_level=4)
+    blocks.process()
+    return stripped(blocks.model.model)

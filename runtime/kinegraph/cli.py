@@ -102,7 +102,7 @@ def _generate(options: argparse.Namespace) -> int:
 def _compose(options: argparse.Namespace) -> int:
     targets = _targets(options)
     found = concepts(options.wanted, options.unwanted)
-    own = {"method": options.method, "text": options.text, "lambdas": options.lambdas}
+    own = {"method": options.method, "text": options.text, "lambdas": options.lambdas, "agd": options.agd}
     return _make(
         options, targets, lambda pipeline, **wishes: _one_by_one(pipeline.compose, found, len(targets), own | wishes)
     )

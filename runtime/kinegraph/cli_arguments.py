@@ -65,12 +65,18 @@ def add_compose(parser: argparse.ArgumentParser) -> None:
         action="append",
         default=[],
         metavar="TEXT[:WEIGHT]",
-        help="a motion that should not; weight 0.5 unless told",
+        help="a motion that should not; weight 1 unless told",
     )
     parser.add_argument("--method", default="fused", help="latent, semantic or fused (default)")
     parser.add_argument("--text", help="the joint sentence of fused; default: the wanted ones joined with 'while'")
     parser.add_argument(
         "--lambdas", type=level_numbers, metavar="L,S,M", help="shares of latent, semantic and joint text in fused"
+    )
+    parser.add_argument(
+        "--agd",
+        type=level_numbers,
+        metavar="A,R",
+        help="step sizes of adaptive gradient descent, e.g. 0.0004,0.0004; default: off",
     )
     _add_sampling(parser)
 

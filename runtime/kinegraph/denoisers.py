@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from kinegraph.conditions import Conditions, for_level, stacked, without_anything, without_text
 from kinegraph.contract import LEVELS
-from kinegraph.diffusion.composition import Wiring, composition, mixed
+from kinegraph.diffusion.composition import Mixture, Wiring, composition, mixed, step_sizes
 from kinegraph.diffusion.ddim import DdimCoefficients
 from kinegraph.diffusion.guidance import guided
 from kinegraph.diffusion.sampler import (
@@ -53,27 +53,26 @@ class Denoisers:
     def composed(
         self,
         encoded: Conditions,
-        weights: Sequence[float],
-        joint: Sequence[float],
-        shares: tuple[float, float, float],
+        mixture: Mixture,
         options: GenerateOptions,
         on_step: OnStep | None,
     ) -> FloatArray:
         """Latent of the finest level from several graphs, one run per step whatever the method.
 
-        Rows of `encoded` come in the order of `weights`, then of `joint`, the graphs of the joint text.
+        Rows of `encoded` come in the order of the mixture's weights, its joint text and its negated concepts.
         """
 
         def predictor_for(number: int, times: DdimCoefficients, coarse: FloatArray | None) -> Predict:
             name = LEVELS[number]
             apart = coarse is not None and self.manifest.defaults.guidance_base == "empty"
-            plan = composition(weights, shares, options.guidance[name], coarse=apart, joint_weights=joint)
+            plan = composition(mixture, options.guidance[name], coarse=apart)
+            gamma = step_sizes(plan.wiring, mixture.agd) if any(mixture.agd) else None
             seen = for_level(encoded, self.manifest.levels[name].nodes)
             first = Conditions(*(part[:1] for part in vars(seen).values()))
             known = stacked(stacked(self._base(first), without_text(first)), seen)
             rows = len(plan.mix)
             shared = None if coarse is None else np.repeat(coarse, len(known.kind), axis=0)
-            network = self._network(name, known, shared, plan.wiring, np.full(rows, options.frames), times)
+            network = self._network(name, known, shared, plan.wiring, np.full(rows, options.frames), times, gamma)
             return lambda latent, step: mixed(network(np.repeat(latent, rows, axis=0), step), plan.mix)
 
         return self._sampled([options], predictor_for, on_step)
@@ -123,7 +122,11 @@ class Denoisers:
         wiring: Wiring,
         frames: NDArray[np.int64],
         times: DdimCoefficients,
+        gamma: FloatArray | None = None,
     ) -> RowNetwork:
         sessions = self.sessions
         modulation = modulations(sessions.clock[name], times.timesteps, frames)
-        return row_network(sessions.context[name], sessions.step[name], known, coarse, wiring, modulation)
+        context, step = sessions.context[name], sessions.step[name]
+        if gamma is not None:
+            context, step = sessions.context_agd[name](), sessions.step_agd[name]()
+        return row_network(context, step, known, coarse, wiring, modulation, gamma)

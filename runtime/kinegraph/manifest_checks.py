@@ -21,7 +21,8 @@ OLDEST_VERSION: Final = 2
 
 GRAPH_FILES: Final[tuple[str, ...]] = tuple(f"{graph}.onnx" for graph in GRAPHS)
 REQUIRED_FILES: Final[frozenset[str]] = frozenset((*GRAPH_FILES, "tokenizer.json", "tables.npz"))
-OPTIONAL_FILES: Final[frozenset[str]] = frozenset(("parser.bin", *(f"{graph}.onnx" for graph in OPTIONAL_GRAPHS)))
+OPTIONAL_GRAPH_FILES: Final[frozenset[str]] = frozenset(f"{graph}.onnx" for graph in OPTIONAL_GRAPHS)
+OPTIONAL_FILES: Final[frozenset[str]] = OPTIONAL_GRAPH_FILES | {"parser.bin"}
 """Without the parser a bundle takes graphs, but no plain sentences; without the coarse decoders it shows no clip before
 the last level is done; without the graphs of adaptive gradient descent it refuses to compose with it."""
 AGD_FILES: Final[frozenset[str]] = frozenset(f"{graph}.onnx" for graph in (*AGD_CONTEXTS.values(), *AGD_STEPS.values()))
@@ -194,7 +195,9 @@ def _check_files(files: Mapping[str, FileSpec], operators: Mapping[str, tuple[st
     missing = sorted(REQUIRED_FILES - set(files))
     _require(not missing, "files", f"lacks {missing}")
     adaptive = AGD_FILES & set(files)
-    _require(not adaptive or adaptive == AGD_FILES, "files", f"has {sorted(adaptive)}, of {sorted(AGD_FILES)} all or none")
+    _require(
+        not adaptive or adaptive == AGD_FILES, "files", f"has {sorted(adaptive)}, of {sorted(AGD_FILES)} all or none"
+    )
     graphs = sorted(name for name in files if name.endswith(".onnx"))
     _require(
         sorted(operators) == graphs, "operators", f"must have exactly the keys {graphs}, found {sorted(operators)}"

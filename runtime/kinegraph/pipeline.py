@@ -15,11 +15,12 @@ import onnxruntime
 from numpy.typing import NDArray
 
 from kinegraph.bundle import read_bundle
-from kinegraph.concepts import Concept, checked_concepts, checked_lambdas, joint_caption
+from kinegraph.concepts import Concept, checked_composing
 from kinegraph.conditions import Conditions, GraphArrays, conditions, padded, repeated
 from kinegraph.contract import LEVELS
 from kinegraph.decoding import decode, finite
 from kinegraph.denoisers import Denoisers
+from kinegraph.diffusion.composition import Mixture
 from kinegraph.diffusion.sampler import OnStep
 from kinegraph.duration import with_own_length
 from kinegraph.edits import edge_terms
@@ -141,7 +142,7 @@ class MotionPipeline:
         if weights == [1.0]:
             latent = denoisers.guided(encoded, [options], on_step)
         else:
-            latent = denoisers.composed(encoded, weights, [], (1.0, 0.0, 0.0), options, on_step)
+            latent = denoisers.composed(encoded, Mixture(tuple(weights)), options, on_step)
         return replace(self._clips(latent, [options], [graph.caption])[0], graph=graph)
 
     def takes(
@@ -249,6 +250,7 @@ class MotionPipeline:
         method: str = "fused",
         text: str | SemanticGraph | None = None,
         lambdas: tuple[float, float, float] | None = None,
+        agd: tuple[float, float] | None = None,
         seconds: float | None = None,
         seed: int | None = None,
         steps: Steps | None = None,
@@ -257,39 +259,42 @@ class MotionPipeline:
         on_step: OnStep | None = None,
         on_level: OnLevel | None = None,
     ) -> Clip:
-        """A clip in which several motions happen at once, or do not (EnergyMoGen, Eq. 7-10).
+        """A clip in which several motions happen at once, or do not (EnergyMoGen, Eq. 3, 4, 7-10).
 
         Args:
             concepts: up to 8; a negative weight is what must not happen.
             method: "latent" adds predictions (Eq. 7, 8), "semantic" mixes attention (Eq. 9), "fused" blends both
-                with the joint text (Eq. 10).
+                with the joint text (Eq. 10) and takes away what is negated (Eq. 8).
             text: the joint text of "fused"; None joins the positive concepts with "while".
             lambdas: of "fused": shares of latent, semantic and joint text; default (0.1, 0.3, 0.6).
+            agd: step sizes (gamma_attn, gamma_reg) of adaptive gradient descent (Eq. 3, 4), each 0 to 1: EnergyMoGen
+                has (0.0004, 0.0004) for several concepts and (0.001, 0.002) for one sentence of several; None is off.
             seconds, seed, steps, guidance, foot_fix, on_step, on_level: as in `generate`.
 
         Raises:
-            InvalidInputError: a concept, weight or option is outside what can be composed; nothing has been run.
+            InvalidInputError: a concept, weight or option is outside what can be composed, or the bundle has no
+                graphs for `agd`; nothing has been run.
             Cancelled, NonFiniteError: as in `generate`.
         """
-        found = checked_concepts(concepts)
-        shares = checked_lambdas(method, lambdas, text, found)
+        what = checked_composing(concepts, method, text, lambdas, agd)
+        if any(what.agd) and not self._sessions.step_agd:
+            raise InvalidInputError(
+                f"bundle {self.manifest.name} {self.manifest.version} has no graphs for adaptive gradient descent: "
+                "leave agd out, or export the bundle again with this kinegraph"
+            )
         options = generate_options(
             self.manifest, seconds=seconds, seed=seed, steps=steps, guidance=guidance, foot_fix=foot_fix
         )
-        joint = joint_caption(found) if text is None else text
-        wanted = [concept.text for concept in found] + ([joint] if shares[2] else [])
-        graphs = [each if isinstance(each, SemanticGraph) else self.parse(each) for each in wanted]
+        graphs = [text if isinstance(text, SemanticGraph) else self.parse(text) for text, _ in what.parts]
         terms = [edge_terms(graph) for graph in graphs]
-        arrays = [[self._arrays(each) for each, _ in own] for own in terms]
+        arrays = [[self._arrays(term) for term, _ in own] for own in terms]
         if seconds is None:
-            wanted_ones = [own[0] for own, concept in zip(arrays, found, strict=False) if concept.weight > 0]
-            options = with_own_length(options, self._tables.get(DURATION), self.manifest, wanted_ones)
+            wanted = [own[0] for own, concept in zip(arrays, what.concepts, strict=False) if concept.weight > 0]
+            options = with_own_length(options, self._tables.get(DURATION), self.manifest, wanted)
         encoded = self._encode([each for own in arrays for each in own])
-        weights = [one.weight * part for one, own in zip(found, terms, strict=False) for _, part in own]
-        joint_weights = [part for own in terms[len(found) :] for _, part in own]
-        caption = joint.caption if isinstance(joint, SemanticGraph) else joint
-        denoisers = self._denoisers(options, caption, on_level)
-        latent = denoisers.composed(encoded, weights, joint_weights, shares, options, on_step)
+        mixture = what.mixture([[part for _, part in own] for own in terms])
+        caption = what.joint.caption if isinstance(what.joint, SemanticGraph) else what.joint
+        latent = self._denoisers(options, caption, on_level).composed(encoded, mixture, options, on_step)
         return self._clips(latent, [options], [caption])[0]
 
     def _denoisers(self, options: GenerateOptions, caption: str, on_level: OnLevel | None) -> Denoisers:
