@@ -58,7 +58,7 @@ def test_rates_are_those_of_the_clips(monkeypatch: pytest.MonkeyPatch) -> None:
     assert found["per_pair"] == {"walk + raise-up-both-hands": 0.5, "walk + wave-right-hand": 0.0}
     less = settings.negated(pipe, 4, -0.5)
     assert [one["pair"] for one in less["rows"]] == ["walk + raise-up-both-hands"]
-    assert less["fallen_by"] == 1.0 and less["kept"] == 1.0
+    assert less["fallen_by"] == 1.0 and less["kept"] == 1.0 and less["both_met"] == 1
     result = {"model": "m", "seeds": 4, "settings": {"joint text": found}, "negation": {"-0.5": less}}
     assert "| joint text | 0.250 | 1.000 | 0.250 |" in settings.table(result)
 
