@@ -26,6 +26,7 @@ from kinegraph_export.export_bundle import Card, export_bundle  # noqa: E402
 from kinegraph_export.recover import recover  # noqa: E402
 from kinegraph_training import train_denoisers, train_vae  # noqa: E402
 from kinegraph_training.data_writer import PreparedClip, write_data  # noqa: E402
+from kinegraph_training.latents import read_vae  # noqa: E402
 
 WEIGHTS = Path(__file__).parents[2] / "weights" / "edge"
 ASSETS = Path(kinegraph.__file__).parent / "bundles" / "default"
@@ -126,6 +127,28 @@ def test_the_bundle_makes_a_clip_and_states_its_parity(bundle: Path) -> None:
     assert parity["pipeline_mm"] <= 1.0
     graphs = {name.removesuffix(".onnx") for name in pipe.manifest.files if name.endswith(".onnx")} - {"text_encoder"}
     assert graphs <= set(parity) and max(parity[name] for name in graphs) <= 1e-4
+
+
+def test_the_coarse_decoders_are_those_of_their_autoencoders(trained: Path, bundle: Path) -> None:
+    pipe = MotionPipeline.load(bundle, threads=1)
+    weights = torch.load(trained / "run" / "denoisers" / "last.ckpt", weights_only=True)["state_dict"]
+    rng = np.random.default_rng(0)
+    mask = np.ones((2, 48), dtype=np.float32)
+    for level in ("motion", "action"):
+        own = read_vae(trained / "run" / f"vae_{level}" / "last.ckpt")
+        spec = pipe.manifest.levels[level]
+        latent = rng.standard_normal((2, spec.tokens, spec.latent_width)).astype(np.float32)
+        decoder = pipe._sessions.coarse_decoders[level]()
+        (found,) = decoder.run(["features"], {"latent": latent, "frame_mask": mask})
+        plain = torch.from_numpy(latent) * weights[f"{level}_scale"] + weights[f"{level}_centre"]
+        with torch.no_grad():
+            features = own.vae.decode(plain, torch.from_numpy(mask)).numpy()
+        # in metres and radians, each under its own normalisation
+        mean, std = (np.array(part) for part in (pipe.manifest.features.mean, pipe.manifest.features.std))
+        np.testing.assert_allclose(found * std + mean, features * own.std + own.mean, atol=5e-3)
+    shown: list[str] = []
+    clip = pipe.generate("a person walks", seconds=2, seed=1, on_level=lambda name, coarse: shown.append(name))
+    assert shown == ["motion", "action"] and clip.frames == 40
 
 
 def test_the_same_run_gives_the_same_bundle(trained: Path, bundle: Path) -> None:

@@ -150,7 +150,7 @@ export function openPlayground(side, play, stage, transport) {
     stage.show([shown]);
     busy(false);
   });
-  at(".new-seed").addEventListener("click", () => (field.seed.value = last?.seed ?? ""));
+  at(".keep-seed").addEventListener("click", () => (field.seed.value = last?.seed ?? ""));
   for (const radio of field.mode) radio.addEventListener("change", switchMode);
 
   field.guidance.placeholder = Object.values(play.guidance).join(", ");
