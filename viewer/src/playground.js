@@ -106,6 +106,8 @@ export function openPlayground(side, play, stage, transport) {
         }
         if (event.event === "clip") {
           last = { ...asked, seed: event.clip.seed };
+          // a hidden tab draws nothing, and would wait for ever
+          if (!document.hidden) await new Promise(requestAnimationFrame);
           result.show(event, last, performance.now() - pressed);
           document.documentElement.dataset.made = Number(document.documentElement.dataset.made ?? 0) + 1;
         }
