@@ -17,7 +17,7 @@ from kinegraph.play.server import Server, listen, warm_up
 
 HERE = Path(__file__).parent
 FLAGS = ["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
-TEXT = "a person walks slowly and raises the left hand"
+TEXT = "a person walks forward while waving the right hand"
 
 
 def picture(browser: Browser, url: str, name: str, size: tuple[int, int], scheme: str, at: float, made: bool) -> None:
@@ -49,7 +49,7 @@ def main() -> None:
         thread = threading.Thread(target=server.run, kwargs={"sockets": [listener]})
         thread.start()
         browser = driver.chromium.launch(executable_path=shutil.which("chromium"), args=FLAGS)
-        link = f"http://127.0.0.1:{port}/#{urlencode({'text': TEXT, 'seconds': 4, 'seed': 6})}"
+        link = f"http://127.0.0.1:{port}/#{urlencode({'text': TEXT, 'seconds': 4, 'seed': 4})}"
         picture(browser, link, "play.jpg", (1280, 800), "light", 2.0, made=True)
         picture(browser, link, "phone.jpg", (390, 844), "light", 2.0, made=True)
         turns = ("a person walks and turns to the left", "a person walks and turns to the right")
