@@ -92,7 +92,7 @@ export function openPlayground(side, play, stage, transport) {
     fail(null);
     busy(true);
     say("Asking", 0);
-    let drawn = false;
+    let [drawn, complete] = [false, false];
     try {
       for await (const event of api.clip(asked, own.signal)) {
         if (own.signal.aborted) return;
@@ -105,6 +105,7 @@ export function openPlayground(side, play, stage, transport) {
           drawn = true;
         }
         if (event.event === "clip") {
+          complete = true;
           last = { ...asked, seed: event.clip.seed };
           // a hidden tab draws nothing, and would wait for ever
           if (!document.hidden) await new Promise(requestAnimationFrame);
@@ -112,6 +113,7 @@ export function openPlayground(side, play, stage, transport) {
           document.documentElement.dataset.made = Number(document.documentElement.dataset.made ?? 0) + 1;
         }
       }
+      if (!complete) throw new Error("The server ended before the clip was done.");
     } catch (error) {
       if (error.name !== "AbortError") fail(error);
     } finally {
