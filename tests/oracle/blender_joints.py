@@ -19,7 +19,7 @@ if bpy.app.version < (3, 5):
     import io_anim_bvh.import_bvh
 
     np.bool = bool
-    io_anim_bvh.import_bvh.open = lambda name, _mode, **rest: open(name, **rest)
+    io_anim_bvh.import_bvh.open = lambda name, _mode, **rest: Path(name).open(**rest)  # noqa: SIM115
 
 
 def imported(path: Path, fps: float) -> bpy.types.Object:
