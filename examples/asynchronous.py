@@ -1,0 +1,30 @@
+"""In an asynchronous program: clips are made in threads, the event loop stays free, a timeout stops the models."""
+
+import asyncio
+import threading
+
+from kinegraph import Clip, MotionPipeline
+
+
+async def generate(pipe: MotionPipeline, text: str, timeout: float, **wishes) -> Clip:
+    stop = threading.Event()
+    work = asyncio.to_thread(pipe.generate, text, on_step=lambda step: not stop.is_set(), **wishes)
+    try:
+        return await asyncio.wait_for(work, timeout)
+    finally:
+        stop.set()  # timed out or cancelled: the thread ends after the step it is in
+
+
+async def main() -> None:
+    pipe = await asyncio.to_thread(MotionPipeline.load, threads=1)
+    texts = ["a person walks forward", "a person waves the right hand", "a person bows"]
+    clips = await asyncio.gather(*(generate(pipe, text, 60, seconds=3, seed=5) for text in texts))
+    for clip in clips:
+        print(f"{clip.text}: {clip.frames} frames")
+    try:
+        await generate(pipe, "a person runs", 0.02, seconds=9)
+    except TimeoutError:
+        print("a person runs: too late, stopped")
+
+
+asyncio.run(main())
