@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import configparser
+import importlib
 import subprocess
 import sys
 import zipfile
 from pathlib import Path
 
 import pytest
+
+from kinegraph.formats import WRITERS
 
 pytest.importorskip("hatchling")
 ROOT = Path(__file__).resolve().parents[2]
@@ -41,3 +45,16 @@ def test_the_wheel_carries_the_runtime_as_it_stands(wheel: zipfile.ZipFile) -> N
         "kinegraph_export",
         "kinegraph_training",
     }
+
+
+def test_pyinstaller_finds_the_hook_of_the_wheel(wheel: zipfile.ZipFile) -> None:
+    (listed,) = (name for name in wheel.namelist() if name.endswith(".dist-info/entry_points.txt"))
+    found = configparser.ConfigParser()
+    found.read_string(wheel.read(listed).decode())
+    module, function = found["pyinstaller40"]["hook-dirs"].split(":")
+    (folder,) = getattr(importlib.import_module(module), function)()
+    hook = (Path(folder) / "hook-kinegraph.py").read_text(encoding="utf-8")
+    assert "kinegraph/_pyinstaller/hook-kinegraph.py" in wheel.namelist()
+    # what is imported by name only, and the files that no import shows
+    assert {name.rpartition(".")[0] for name in WRITERS.values()} == {"kinegraph.formats"}
+    assert 'collect_submodules("kinegraph.formats")' in hook and 'subdir="bundles"' in hook
