@@ -14,7 +14,8 @@ pytest.importorskip("torch")
 from kinegraph.motion.features import features_from_joints, joints_from_features
 from kinegraph.motion.skeleton import JOINT_NAMES, PARENTS, facing_angle, mirrored
 from kinegraph_training.data import MotionClip, mirrored_caption, mirrored_clip, mirrored_label, read_split
-from kinegraph_training.phrases import PHRASES
+from kinegraph_training.dataset import with_counted_steps
+from kinegraph_training.phrases import COUNTED_STEPS, PHRASES, counted_captions
 
 PAIRS = (
     ("a person turns left.", "a person turns right."),
@@ -80,6 +81,28 @@ def test_phrases_of_an_image_are_the_images_of_the_phrases() -> None:
         other = PHRASES[mirrored_label(name)]
         assert set(map(mirrored_caption, phrases.finite)) == set(other.finite), name
         assert set(map(mirrored_caption, phrases.participle)) == set(other.participle), name
+
+
+@pytest.mark.parametrize("content", COUNTED_STEPS)
+def test_counted_captions_say_what_was_counted_and_mirror_like_the_rest(content: str) -> None:
+    rng = np.random.Generator(np.random.PCG64(3))
+    for steps, word in ((2, "two"), (7, "seven"), (12, "twelve")):
+        made = counted_captions(content, steps, "proud", rng)
+        assert len(made) == 2 and all(re.search(rf"\b{word}\b.* steps?\b", caption) for caption in made)
+    ways = {mirrored_caption(way) for way in COUNTED_STEPS[content]}
+    assert ways == set(COUNTED_STEPS[mirrored_label(content)])
+
+
+@pytest.mark.parametrize(("content", "steps"), [("bow", 4), ("walk", None), ("walk", 1), ("run", 13), ("", 5)])
+def test_what_cannot_be_counted_is_not_said(content: str, steps: int | None) -> None:
+    assert counted_captions(content, steps, "normal", np.random.Generator(np.random.PCG64(3))) == ()
+
+
+def test_clips_keep_their_captions_beside_the_counted_ones() -> None:
+    clip = MotionClip("c1", walk(20), ("a person walks.",), "walk", "normal", steps=4)
+    (found,) = with_counted_steps([clip], seed=1)
+    assert found.captions[0] == "a person walks." and len(found.captions) == 3
+    assert found == with_counted_steps([clip], seed=1)[0] != with_counted_steps([clip], seed=2)[0]
 
 
 def test_joints_change_names_and_the_sign_of_x() -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -19,11 +20,14 @@ from motions import walk  # noqa: E402
 
 import kinegraph  # noqa: E402
 from kinegraph import MotionPipeline  # noqa: E402
+from kinegraph.contract import LEVELS  # noqa: E402
 from kinegraph.errors import BundleError, InvalidInputError  # noqa: E402
 from kinegraph_export.export_bundle import Card, export_bundle  # noqa: E402
+from kinegraph_export.recover import recover  # noqa: E402
 from kinegraph_training import train_denoisers, train_vae  # noqa: E402
 from kinegraph_training.data_writer import PreparedClip, write_data  # noqa: E402
 
+WEIGHTS = Path(__file__).parents[2] / "weights" / "edge"
 ASSETS = Path(kinegraph.__file__).parent / "bundles" / "default"
 pytestmark = [
     pytest.mark.skipif(not (ASSETS / "parser.bin").is_file(), reason="no default bundle to take the text files from"),
@@ -129,6 +133,34 @@ def test_the_same_run_gives_the_same_bundle(trained: Path, bundle: Path) -> None
     export_bundle(trained / "run", ASSETS, replace(CARD, guidance_base="empty"), trained / "again")
     first, again = (json.loads((folder / "manifest.json").read_bytes()) for folder in (bundle, trained / "again"))
     assert first["files"] == again["files"]
+
+
+def test_a_run_recovered_from_a_bundle_exports_the_same_graphs(trained: Path, bundle: Path) -> None:
+    vaes = trained / "vaes"
+    vaes.mkdir()
+    for level in LEVELS:
+        shutil.copyfile(trained / "run" / f"vae_{level}" / "last.ckpt", vaes / f"vae_{level}.ckpt")
+    recover(bundle, "tiny", vaes, trained / "recovered")
+    export_bundle(trained / "recovered", ASSETS, CARD, trained / "third")
+    files = json.loads((bundle / "manifest.json").read_bytes())["files"]
+    assert json.loads((trained / "third" / "manifest.json").read_bytes())["files"] == files
+    with pytest.raises(InvalidInputError, match="is not what this preset"):
+        recover(bundle, "edge", WEIGHTS, trained / "wrong")
+
+
+def test_denoisers_start_from_the_weights_of_others(trained: Path, tmp_path: Path) -> None:
+    source = trained / "run" / "denoisers" / "last.ckpt"
+    (tmp_path / "data").symlink_to(trained / "data")
+    shutil.copytree(trained / "run", tmp_path / "run", ignore=shutil.ignore_patterns("denoisers"))
+    still = ["--start-from", str(source), "--max_steps", "1", "--val_check_interval", "1", "--gradient_clip_val", "0"]
+    preset = tmp_path / "still.toml"
+    preset.write_text('base = "tiny"\n[denoiser_training]\nlearning_rate = 0.0\nsteps = 1\n')
+    stage(train_denoisers, tmp_path, "--assets", str(ASSETS), *still, "--preset", str(preset))
+    before, after = (
+        torch.load(path, weights_only=True, map_location="cpu")["state_dict"]
+        for path in (source, tmp_path / "run" / "denoisers" / "last.ckpt")
+    )
+    assert all(torch.equal(before[name], after[name]) for name in before if name.startswith("hierarchy."))
 
 
 def test_other_folders_are_not_overwritten(trained: Path) -> None:

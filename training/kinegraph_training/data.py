@@ -35,6 +35,8 @@ class MotionClip:
     content: str
     """Label of the action, "" where the data has none."""
     style: str
+    steps: int | None = None
+    """Steps taken, where the index counts them."""
 
 
 def mirrored_caption(caption: str) -> str:
@@ -104,6 +106,7 @@ def read_split(folder: Path, split: str) -> list[MotionClip]:
                 captions=tuple(captions[name]["captions"]),
                 content=row.get("content", ""),
                 style=row.get("style_canon", ""),
+                steps=row.get("attr", {}).get("steps"),
             )
         )
     return clips

@@ -106,6 +106,24 @@ MANNERS: dict[str, tuple[str, ...]] = {
     "musical": ("in a musical way",),
 }
 
+NUMBERS = ("two", "three", "four", "five", "six", "seven", "eight", "nine", "ten", "eleven", "twelve")
+"""From 2 on: one step is no walk, and nobody counts further."""
+
+_AHEAD = ("{subject} walks {n} steps", "{subject} takes {n} steps forward", "{subject} walks ahead for {n} steps")
+COUNTED_STEPS: dict[str, tuple[str, ...]] = {
+    "walk": _AHEAD,
+    "run": ("{subject} runs {n} steps", "{subject} takes {n} running steps", "{subject} jogs for {n} steps"),
+    "dash": ("{subject} dashes {n} steps", "{subject} sprints for {n} steps"),
+    "walk-back": ("{subject} takes {n} steps back", "{subject} walks {n} steps backwards"),
+    **{f"walk-{side}": (f"{{subject}} takes {{n}} steps to the {side}", f"{{subject}} walks {side} for {{n}} steps")
+       for side in ("left", "right")},
+    **{f"walk-turn-{side}": (f"{{subject}} takes {{n}} steps and turns {side}",
+                             f"{{subject}} turns to the {side} while walking {{n}} steps",
+                             f"{{subject}} walks {{n}} steps, turning to the {side}")
+       for side in ("left", "right")},
+}  # fmt: skip
+"""Ways to say how many steps are taken, per content."""
+
 CAPTIONS_PER_CLIP = 4
 
 
@@ -127,6 +145,17 @@ def _captions(
         )
         manner = _one(MANNERS.get(style, ("",)), rng)
         made.append(f"{text} {manner}".strip() + ".")
+    return tuple(made)
+
+
+def counted_captions(content: str, steps: int | None, style: str, rng: np.random.Generator) -> tuple[str, ...]:
+    """Two captions that name the number of steps, where it is known and can be said."""
+    if content not in COUNTED_STEPS or steps is None or not 2 <= steps < len(NUMBERS) + 2:
+        return ()
+    made = []
+    for _ in range(2):
+        text = _one(COUNTED_STEPS[content], rng).format(subject=_one(SUBJECTS, rng), n=NUMBERS[steps - 2])
+        made.append(f"{text} {_one(MANNERS.get(style, ('',)), rng)}".strip() + ".")
     return tuple(made)
 
 

@@ -35,7 +35,7 @@ from kinegraph_training.models.denoiser import DenoiserConfig, LatentShape
 from kinegraph_training.models.hierarchy import Hierarchy
 from kinegraph_training.run_tables import common_bone_lengths, write_tables
 from kinegraph_training.train_vae import add_common_arguments, lightning_flags
-from kinegraph_training.training_run import last_checkpoint, optimiser, trainer
+from kinegraph_training.training_run import last_checkpoint, optimiser, start_weights, trainer
 
 
 class DenoiserModule(L.LightningModule):
@@ -187,6 +187,8 @@ def main(argv: list[str] | None = None) -> None:
     statistics = {level: (own.centre, own.scale) for level, own in latents.items()}
     config = preset.denoiser_training
     module = DenoiserModule(preset.denoiser, config, shapes, statistics)
+    if arguments.start_from:
+        start_weights(module.hierarchy, arguments.start_from, "hierarchy.")
     run = arguments.run / "denoisers"
     loop = trainer(run, config, validate_every=min(500, config.steps), lightning=lightning_flags(lightning))
     loop.fit(module, train, val, ckpt_path=last_checkpoint(run))

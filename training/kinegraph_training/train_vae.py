@@ -26,7 +26,7 @@ from kinegraph_training.config import LEVELS, OptimiserConfig, Preset, read_pres
 from kinegraph_training.dataset import Dataset, training_set, validation_set
 from kinegraph_training.losses import ReconstructionLoss, kl_divergence, path_loss, reconstruction_terms
 from kinegraph_training.models.vae import MotionVae, VaeConfig
-from kinegraph_training.training_run import last_checkpoint, optimiser, trainer
+from kinegraph_training.training_run import last_checkpoint, optimiser, start_weights, trainer
 
 PATH_WEIGHT = 0.1
 """Weight of the whole integral in the last third of a run, once poses are learnt."""
@@ -65,14 +65,7 @@ class VaeModule(L.LightningModule):
         Raises:
             InvalidInputError: no such file, or weights of another shape.
         """
-        if not checkpoint.is_file():
-            raise InvalidInputError(f"--start-from {checkpoint}: there is no such file")
-        weights = torch.load(checkpoint, map_location="cpu", weights_only=True)["state_dict"]
-        own = {name.removeprefix("vae."): value for name, value in weights.items() if name.startswith("vae.")}
-        try:
-            self.vae.load_state_dict(own)
-        except RuntimeError as error:
-            raise InvalidInputError(f"--start-from {checkpoint}: not this preset's autoencoder: {error}") from error
+        start_weights(self.vae, checkpoint, "vae.")
         self.poses_known = True
 
     def keep_encoder(self) -> None:
@@ -161,9 +154,6 @@ def main(argv: list[str] | None = None) -> None:
     """Command line."""
     parser = argparse.ArgumentParser(prog="kinegraph_training.train_vae", description=__doc__.split("\n")[0])
     parser.add_argument("--level", choices=LEVELS, required=True)
-    parser.add_argument(
-        "--start-from", type=Path, help="checkpoint of the same shape whose weights a new run starts with"
-    )
     parser.add_argument("--decoder-only", action="store_true", help="with --start-from: leave the encoder as it is")
     add_common_arguments(parser)
     arguments, lightning = parser.parse_known_args(argv)
@@ -193,6 +183,9 @@ def add_common_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--run", type=Path, required=True, help="folder for checkpoints and curves")
     parser.add_argument("--preset", default="edge", help="edge, paper, tiny, or a TOML file")
     parser.add_argument("--threads", type=int, help="threads torch may use")
+    parser.add_argument(
+        "--start-from", type=Path, help="checkpoint of the same shape whose weights a new run starts with"
+    )
 
 
 def lightning_flags(words: list[str]) -> dict[str, Any]:

@@ -14,6 +14,7 @@ from lightning.pytorch.callbacks import ModelCheckpoint, WeightAveraging
 from lightning.pytorch.loggers import CSVLogger
 from torch import nn
 
+from kinegraph.errors import InvalidInputError
 from kinegraph_training.config import OptimiserConfig
 
 
@@ -145,6 +146,22 @@ def trainer(run: Path, config: OptimiserConfig, *, validate_every: int, lightnin
         "logger": logger,
     }
     return L.Trainer(**(options | lightning))
+
+
+def start_weights(module: nn.Module, checkpoint: Path, prefix: str) -> None:
+    """Give a module the weights that another run's checkpoint holds under names that begin with `prefix`.
+
+    Raises:
+        InvalidInputError: no such file, or weights of another shape.
+    """
+    if not checkpoint.is_file():
+        raise InvalidInputError(f"--start-from {checkpoint}: there is no such file")
+    weights = torch.load(checkpoint, map_location="cpu", weights_only=True)["state_dict"]
+    own = {name.removeprefix(prefix): value for name, value in weights.items() if name.startswith(prefix)}
+    try:
+        module.load_state_dict(own)
+    except RuntimeError as error:
+        raise InvalidInputError(f"--start-from {checkpoint}: not this preset's network: {error}") from error
 
 
 def last_checkpoint(run: Path) -> str | None:
