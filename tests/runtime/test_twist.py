@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from motions import largest_twist, posed, recorded, turn, world_turns
+from motions import largest_twist, posed, recorded, turn, walk, world_turns
 
 from kinegraph.motion import quaternions as q
 from kinegraph.motion.skeleton import JOINT_INDEX
@@ -68,6 +68,14 @@ def test_the_twist_of_a_turn_is_that_of_the_textbook() -> None:
     swing = q.about_axis(2, np.full(5, 0.3))
     bone = np.array([0.0, 2.0, 0.0])
     np.testing.assert_allclose(q.rotate(twisted(swing, bone, angle), bone), q.rotate(swing, bone), atol=1e-9)
+
+
+def test_a_limb_that_flips_would_be_seen(monkeypatch: pytest.MonkeyPatch) -> None:
+    assert largest_twist(walk(40)) < 45
+    monkeypatch.setattr(
+        "kinegraph.motion.rotations.hinge_twist", lambda _, goal, *rest: np.pi * (np.arange(len(goal)) == 20)
+    )
+    assert largest_twist(walk(40)) > 150
 
 
 def test_recorded_limbs_bend_about_their_hinges_and_never_flip() -> None:

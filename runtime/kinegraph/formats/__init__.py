@@ -18,6 +18,7 @@ WRITERS: Final[dict[str, str]] = {
     ".bvh": "kinegraph.formats.bvh",
     ".gif": "kinegraph.formats.gif",
     ".glb": "kinegraph.formats.glb",
+    ".json": "kinegraph.formats.json_text",
     ".mp4": "kinegraph.formats.mp4",
     ".npz": "kinegraph.formats.npz",
     ".png": "kinegraph.formats.png",
