@@ -20,7 +20,7 @@ from kinegraph.conditions import Conditions, GraphArrays, conditions, graph_arra
 from kinegraph.contract import LEVELS
 from kinegraph.decoding import decode, finite
 from kinegraph.denoisers import Denoisers
-from kinegraph.diffusion.sampler import OnStep
+from kinegraph.diffusion.sampler import OnStep, part_of
 from kinegraph.duration import with_own_length
 from kinegraph.edits import edge_terms
 from kinegraph.errors import InvalidInputError
@@ -116,8 +116,7 @@ class MotionPipeline:
             guidance: how strictly the text is followed, one number or one per level.
             foot_fix: hold feet that stand where they stand (`motion.feet`).
             on_step: called after every step with a `StepInfo`; returning False stops with `Cancelled`.
-            on_level: called with "motion" and a rough clip, then with "action" and a finer one, where the bundle
-                carries the decoders for it; their frames are those of the clip to come.
+            on_level: called with each coarser level and the clip as far as it has come, where the bundle can decode it.
 
         Raises:
             InvalidInputError: text or an option is outside what the model takes; nothing has been run.
@@ -196,7 +195,8 @@ class MotionPipeline:
         Args:
             texts: 1 to 32 sentences or graphs; sentence k is generated with seed + k.
             seconds: of each part, before the joins: one length, one per sentence, or None for what each asks for.
-            seed, steps, guidance, foot_fix, on_step: as in `generate`.
+            seed, steps, guidance, foot_fix: as in `generate`.
+            on_step: as in `generate`; its `done` and `total` are those of all parts.
 
         Raises:
             InvalidInputError, Cancelled, NonFiniteError: as in `generate`.
@@ -207,7 +207,9 @@ class MotionPipeline:
         graphs = [text if isinstance(text, SemanticGraph) else self.parse(text) for text in texts]
         first = options[0].seed
         clips = [
-            self.generate(graph, seconds=length, seed=first + place, on_step=on_step, **wishes)
+            self.generate(
+                graph, seconds=length, seed=first + place, on_step=part_of(on_step, place, len(texts)), **wishes
+            )
             for place, (graph, length) in enumerate(zip(graphs, lengths, strict=True))
         ]
         joints = joined([clip.joints for clip in clips], self.manifest.fps)
@@ -277,10 +279,8 @@ class MotionPipeline:
         self, latent: FloatArray, wishes: Sequence[GenerateOptions], captions: Sequence[str], level: str = LEVELS[-1]
     ) -> list[Clip]:
         """Latents (B, C, z) of a level as B clips."""
-        coarse = self._sessions.coarse_decoders.get(level)
-        decoder = self._sessions.decoder if coarse is None else coarse()
         frames, fps = [each.frames for each in wishes], self.manifest.fps
-        motions = decode(decoder, self.manifest, bones_of(self._tables), latent, frames)
+        motions = decode(self._sessions.decoder_of(level), self.manifest, bones_of(self._tables), latent, frames)
         bundle = f"{self.manifest.name} {self.manifest.version}"
         return [
             Clip(planted_feet(joints, fps) if each.foot_fix else joints, fps, each.seed, caption, bundle)

@@ -48,6 +48,11 @@ class Sessions:
     coarse_decoders: Mapping[str, Callable[[], onnxruntime.InferenceSession]]
     """By level, as far as the bundle has them; each is made at its first use."""
 
+    def decoder_of(self, level: str) -> onnxruntime.InferenceSession:
+        """The decoder of a level that has one."""
+        coarse = self.coarse_decoders.get(level)
+        return self.decoder if coarse is None else coarse()
+
 
 def available_cpus() -> int:
     """CPUs this process may run on."""
