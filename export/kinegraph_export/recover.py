@@ -26,9 +26,7 @@ from torch import nn
 from kinegraph.bundle import Bundle, read_bundle
 from kinegraph.contract import COARSE_DECODERS, LEVELS, GraphContract, contracts
 from kinegraph.errors import InvalidInputError
-from kinegraph_export.graphs import Trained, drawn_inputs, dynamic_shapes, graph_modules
-from kinegraph_export.onnx_export import to_onnx
-from kinegraph_export.parity import module_arguments
+from kinegraph_export.graphs import Trained, graph_modules, traced
 from kinegraph_training.config import Preset, read_preset
 from kinegraph_training.dataset import training_set
 from kinegraph_training.latents import encode_clips, read_vae, standardised
@@ -85,11 +83,7 @@ def recovered(module: nn.Module, contract: GraphContract, frames_per_token: int,
     with torch.no_grad():
         for weight in weights.values():
             weight.copy_(torch.randn(weight.shape, generator=generator))
-    example = drawn_inputs(contract, frames_per_token)(np.random.Generator(np.random.PCG64(1)))
-    names = ([spec.name for spec in specs] for specs in (contract.inputs, contract.outputs))
-    model = to_onnx(
-        module, tuple(module_arguments(contract, example)), *names, dynamic_shapes(contract, frames_per_token)
-    )
+    model = traced(module, contract, frames_per_token)
     own, stored = numbers(model), numbers(onnx.load_model_from_string(data))
     if {name: value.shape for name, value in own.items()} != {name: value.shape for name, value in stored.items()}:
         raise InvalidInputError(
@@ -155,6 +149,8 @@ def recover(
         InvalidInputError: it was not exported from this preset.
     """
     bundle, wanted = read_bundle(folder), read_preset(preset)
+    if bundle.manifest.precision != "fp32":
+        raise InvalidInputError(f"{folder} holds int8 weights, which cannot be trained on; take an fp32 bundle")
     hierarchy, statistics = hierarchy_of(bundle, wanted.denoiser, vaes)
     if data is not None:
         statistics = coarse_statistics(vaes, data, held_out, wanted) | statistics

@@ -1,4 +1,4 @@
-"""The command line: `kinegraph generate | compose | sequence | view | play | parse | info | verify`.
+"""The command line: `kinegraph generate | compose | sequence | view | play | parse | info | verify | bench`.
 
 Exit codes: 0 done; 2 wrong input, bundle or target (one line on stderr says what); 130 interrupted.
 """
@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from kinegraph import __version__
 from kinegraph.cli_arguments import (
+    add_bench,
     add_bundle,
     add_compose,
     add_generate,
@@ -26,7 +27,7 @@ from kinegraph.cli_arguments import (
 )
 from kinegraph.cli_input import captions, check_only_jsonl, concepts, edited, input_graph, take_files
 from kinegraph.cli_output import Progress, as_json, info_record, info_text, one_line, verify_text
-from kinegraph.errors import Cancelled, KinegraphError, MissingExtraError
+from kinegraph.errors import Cancelled, InvalidInputError, KinegraphError, MissingExtraError
 
 # Everything that loads numpy or onnxruntime is imported where it is used: `--help` must be instant.
 if TYPE_CHECKING:
@@ -76,6 +77,7 @@ def _parser() -> argparse.ArgumentParser:
         ("parse", "print or draw the semantic graph of a sentence", add_parse, _parse),
         ("info", "what a bundle is: what it can do, licences, provenance, sizes, quality", add_bundle, _info),
         ("verify", "check every file, operator and session of a bundle", add_bundle, _verify),
+        ("bench", "how fast a bundle is on this machine, stage by stage", add_bench, _bench),
     ):
         verb = verbs.add_parser(name, help=text)
         arguments(verb)
@@ -282,6 +284,22 @@ def _verify(options: argparse.Namespace) -> int:
         print(as_json({**plain(report), "path": str(report.path)}))
     else:
         print(verify_text(report))
+    return 0
+
+
+def _bench(options: argparse.Namespace) -> int:
+    from kinegraph.bench import bench, table
+    from kinegraph.formats.atomic import check_target, write_atomically
+    from kinegraph.strict_json import plain
+
+    if options.repeats < 1:
+        raise InvalidInputError(f"repeats must be 1 or more, not {options.repeats}")
+    if options.json is not None:
+        check_target(options.json, True, (".json",))
+    report = bench(options.bundle, seconds=options.seconds, repeats=options.repeats, threads=options.threads)
+    if options.json is not None:
+        write_atomically(options.json, (as_json(plain(report), pretty=True) + "\n").encode())
+    print(table(report))
     return 0
 
 

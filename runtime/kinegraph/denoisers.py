@@ -106,8 +106,8 @@ class Denoisers:
         network = self._network(name, known, twice, Wiring.straight(2 * len(frames)), np.tile(frames, 2), times)
 
         def predict(latent: FloatArray, step: int) -> FloatArray:
-            unconditional, conditional = np.split(network(np.concatenate([latent, latent]), step), 2)
-            return guided(unconditional, conditional, scale)
+            both, half = network(np.concatenate([latent, latent]), step), len(latent)
+            return guided(both[:half], both[half:], scale)
 
         return predict
 

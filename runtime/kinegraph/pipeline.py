@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from kinegraph.bundle import read_bundle
 from kinegraph.concepts import Concept, checked_concepts, checked_lambdas, joint_caption
-from kinegraph.conditions import Conditions, GraphArrays, conditions, graph_arrays, padded, repeated
+from kinegraph.conditions import Conditions, GraphArrays, conditions, padded, repeated
 from kinegraph.contract import LEVELS
 from kinegraph.decoding import decode, finite
 from kinegraph.denoisers import Denoisers
@@ -25,14 +25,16 @@ from kinegraph.duration import with_own_length
 from kinegraph.edits import edge_terms
 from kinegraph.errors import InvalidInputError
 from kinegraph.graph import SemanticGraph
+from kinegraph.limits import MAX_PARTS, MAX_TAKES
 from kinegraph.manifest import Manifest
 from kinegraph.motion.clip import Clip
 from kinegraph.motion.feet import planted_feet
 from kinegraph.motion.joining import joined
-from kinegraph.options import GenerateOptions, Guidance, Steps, generate_options, part_lengths, with_seeds
+from kinegraph.options import GenerateOptions, Guidance, Steps, batch_seeds, generate_options, part_lengths
 from kinegraph.sessions import Sessions, open_sessions
 from kinegraph.tables import DURATION, bones_of
 from kinegraph.text.parser import LazyParser, check_caption
+from kinegraph.text.states import caption_arrays
 from kinegraph.text.tokens import CaptionTokenizer
 
 FloatArray = NDArray[np.float32]
@@ -79,9 +81,11 @@ class MotionPipeline:
             InvalidInputError: `threads` is out of range.
         """
         bundle = read_bundle(None if path is None else Path(path))
-        sessions = open_sessions(bundle, threads=threads, options=session_options)
-        tokenizer = CaptionTokenizer(bundle.files["tokenizer.json"])
-        return cls(bundle.manifest, sessions, tokenizer, bundle.tables, LazyParser(bundle.files.get("parser.bin")))
+        files = dict(bundle.files)
+        bundle = replace(bundle, files={})  # so that only `files` holds the bytes, and a session's go when it is made
+        sessions = open_sessions(bundle, threads=threads, options=session_options, files=files)
+        tokenizer = CaptionTokenizer(files["tokenizer.json"])
+        return cls(bundle.manifest, sessions, tokenizer, bundle.tables, LazyParser(files.get("parser.bin")))
 
     def parse(self, text: str) -> SemanticGraph:
         """The semantic graph of a sentence: look at it, edit it, hand it back to `generate`.
@@ -151,33 +155,57 @@ class MotionPipeline:
         foot_fix: bool = True,
         on_step: OnStep | None = None,
     ) -> list[Clip]:
-        """Several clips for one sentence, which share the runs of the models.
+        """Several clips for one sentence: a `batch` of it alone, `count` takes, 1 to `limits.MAX_TAKES`."""
+        wishes: dict[str, Any] = {"steps": steps, "guidance": guidance, "foot_fix": foot_fix}
+        return self.batch([text], takes=count, seconds=seconds, seed=seed, on_step=on_step, **wishes)
 
-        Take k is what `generate` makes of seed + k, to 0.1 mm: sums of a larger run are rounded in another order.
+    def batch(
+        self,
+        texts: Sequence[str | SemanticGraph],
+        *,
+        takes: int = 1,
+        seconds: float | Sequence[float] | None = None,
+        seed: int | None = None,
+        steps: Steps | None = None,
+        guidance: Guidance | None = None,
+        foot_fix: bool = True,
+        on_step: OnStep | None = None,
+    ) -> list[Clip]:
+        """Clips for many sentences, which share the runs of the models: all takes of the first, then of the second ...
+
+        Clip k is what `generate` makes of its sentence with seed + k: in an fp32 bundle to 0.1 mm, because sums of a
+        larger run are rounded in another order; in an int8 bundle roughly, because one scale spans a run.
 
         Args:
-            text: a sentence, or its graph; as it was parsed, without weights on its edges.
-            count: 1 to `limits.MAX_TAKES`.
-            seconds, seed, steps, guidance, foot_fix, on_step: as in `generate`.
+            texts: sentences or graphs; as they were parsed, without weights on their edges.
+            takes: of each; `limits.MAX_TAKES` clips at most in all.
+            seconds: one length, one per sentence, or None for what each asks for.
+            seed, steps, guidance, foot_fix, on_step: as in `generate`.
 
         Raises:
-            InvalidInputError: as in `generate`, a wrong count, or a graph with weights.
+            InvalidInputError: as in `generate`, no list, too many clips, or a graph with weights.
             Cancelled, NonFiniteError: as in `generate`.
         """
-        options = generate_options(
-            self.manifest, seconds=seconds, seed=seed, steps=steps, guidance=guidance, foot_fix=foot_fix
-        )
-        wishes = with_seeds(options, count)
-        graph = text if isinstance(text, SemanticGraph) else self.parse(text)
-        if any(node.weight != 1 for node in graph.nodes):
-            raise InvalidInputError("takes share one run, which cannot weigh edges; make weighted clips one by one")
-        arrays = [self._arrays(graph)]
-        if seconds is None:
-            length = with_own_length(options, self._tables.get(DURATION), self.manifest, arrays)
-            wishes = [replace(each, frames=length.frames, seconds=length.seconds) for each in wishes]
-        encoded = repeated(self._encode(arrays), count)
-        latent = Denoisers(self._sessions, self.manifest).guided(encoded, wishes, on_step)
-        return [replace(clip, graph=graph) for clip in self._clips(latent, wishes, [graph.caption] * count)]
+        lengths = part_lengths(texts, seconds, MAX_TAKES, "a batch")
+        wishes: dict[str, Any] = {"seed": seed, "steps": steps, "guidance": guidance, "foot_fix": foot_fix}
+        options = [generate_options(self.manifest, seconds=length, **wishes) for length in lengths]
+        seeds = batch_seeds(options[0].seed, len(options), takes)
+        graphs = [text if isinstance(text, SemanticGraph) else self.parse(text) for text in texts]
+        if any(node.weight != 1 for graph in graphs for node in graph.nodes):
+            raise InvalidInputError("clips that share one run cannot weigh edges; make weighted clips one by one")
+        arrays = caption_arrays(self._sessions.text_encoder, self._tokenizer, graphs)
+        duration = self._tables.get(DURATION)
+        own = [
+            with_own_length(each, duration, self.manifest, [known]) if length is None else each
+            for each, known, length in zip(options, arrays, lengths, strict=True)
+        ]
+        copies = len(seeds) // len(own)
+        each_clip = [replace(own[place // copies], seed=value) for place, value in enumerate(seeds)]
+        encoded = repeated(self._encode(arrays), copies)
+        latent = Denoisers(self._sessions, self.manifest).guided(encoded, each_clip, on_step)
+        own_graphs = [graph for graph in graphs for _ in range(copies)]
+        clips = self._clips(latent, each_clip, [graph.caption for graph in own_graphs])
+        return [replace(clip, graph=graph) for clip, graph in zip(clips, own_graphs, strict=True)]
 
     def sequence(
         self,
@@ -201,7 +229,7 @@ class MotionPipeline:
         Raises:
             InvalidInputError, Cancelled, NonFiniteError: as in `generate`.
         """
-        lengths = part_lengths(texts, seconds)
+        lengths = part_lengths(texts, seconds, MAX_PARTS, "a sequence")
         wishes: dict[str, Any] = {"steps": steps, "guidance": guidance, "foot_fix": foot_fix}
         options = [generate_options(self.manifest, seconds=length, seed=seed, **wishes) for length in lengths]
         graphs = [text if isinstance(text, SemanticGraph) else self.parse(text) for text in texts]
@@ -288,10 +316,7 @@ class MotionPipeline:
         ]
 
     def _arrays(self, graph: SemanticGraph) -> GraphArrays:
-        tokens = self._tokenizer.encode(graph.caption)
-        feeds = {"input_ids": tokens.ids[None], "attention_mask": tokens.mask[None]}
-        hidden, pooled = self._sessions.text_encoder.run(["hidden", "pooled"], feeds)
-        return graph_arrays(graph, tokens, hidden[0], pooled[0])
+        return caption_arrays(self._sessions.text_encoder, self._tokenizer, [graph])[0]
 
     def _encode(self, arrays: Sequence[GraphArrays]) -> Conditions:
         """Graph attention over a batch of graphs."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, MutableMapping
 from dataclasses import dataclass
 from functools import cache, partial
 from types import MappingProxyType
@@ -27,7 +27,7 @@ ORT_ERRORS: Final[tuple[type[Exception], ...]] = (
 
 # onnxruntime's SkipLayerNormalization is slower than Add + LayerNormalization at these sizes, the more so
 # after quantising, because the matrix product before it can then take its bias in.
-_DISABLED_OPTIMIZERS: Final = ["SkipLayerNormFusion"]
+DISABLED_OPTIMIZERS: Final = ["SkipLayerNormFusion"]
 
 _ERRORS_ONLY: Final = 3
 
@@ -78,7 +78,11 @@ def session_options(threads: int) -> onnxruntime.SessionOptions:
 
 
 def open_sessions(
-    bundle: Bundle, *, threads: int | None = None, options: onnxruntime.SessionOptions | None = None
+    bundle: Bundle,
+    *,
+    threads: int | None = None,
+    options: onnxruntime.SessionOptions | None = None,
+    files: MutableMapping[str, bytes] | None = None,
 ) -> Sessions:
     """Make the sessions of a bundle.
 
@@ -87,6 +91,8 @@ def open_sessions(
         threads: threads of every session. None: two at most, and one for the step sessions, which are too
             small to gain from a second one and hold up better on a busy machine.
         options: the host's own options, used as they are for every session; not together with `threads`.
+        files: content in place of `bundle.files`; each graph is taken out when its session is made, because both at
+            once are twice the memory.
 
     Raises:
         InvalidInputError: `threads` is not 1 to 256, or given together with `options`.
@@ -101,7 +107,8 @@ def open_sessions(
 
     def make(graph: str, settings: onnxruntime.SessionOptions) -> onnxruntime.InferenceSession:
         contract = contracts[graph]
-        return open_session(bundle.files[contract.file], contract, settings)
+        data = bundle.files[contract.file] if files is None else files.pop(contract.file)
+        return open_session(data, contract, settings)
 
     return Sessions(
         text_encoder=make("text_encoder", wide),
@@ -130,10 +137,12 @@ def open_session(
             data,
             sess_options=options,
             providers=["CPUExecutionProvider"],
-            disabled_optimizers=_DISABLED_OPTIMIZERS,
+            disabled_optimizers=DISABLED_OPTIMIZERS,
         )
     except ORT_ERRORS as error:
         raise BundleError(f"onnxruntime {onnxruntime.__version__} cannot load {contract.file}: {error}") from error
+    # onnxruntime keeps the file for switching providers, which nobody does here; without it 40 MB go.
+    session._model_bytes = None
     check(session.get_inputs(), session.get_outputs(), contract)
     return session
 

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 from cli_runs import fails
+from same_motion import assert_same_motion
 
 from kinegraph import Concept, InvalidInputError, MotionPipeline
 from kinegraph.bundle import DEFAULT_BUNDLE
@@ -37,7 +38,7 @@ def pipe() -> MotionPipeline:
 @pytest.mark.parametrize("how", EVERY, ids=str)
 def test_one_concept_of_weight_one_is_generate(pipe: MotionPipeline, how: dict[str, Any]) -> None:
     plain = pipe.generate(WALK, **FEW)
-    np.testing.assert_allclose(pipe.compose([Concept(WALK)], **how, **FEW).joints, plain.joints, atol=1e-4)
+    assert_same_motion(pipe, pipe.compose([Concept(WALK)], **how, **FEW).joints, plain.joints)
 
 
 @pytest.mark.parametrize("method", ["latent", "semantic", "fused"])
@@ -45,7 +46,7 @@ def test_the_order_of_concepts_does_not_matter(pipe: MotionPipeline, method: str
     how = {"method": method, **({"text": f"{WALK} and waves"} if method == "fused" else {})}
     concepts = [Concept(WALK), Concept(WAVE, 0.7), Concept("a person runs", -0.4)]
     one, other = (pipe.compose(order, **how, **FEW).joints for order in (concepts, concepts[::-1]))
-    np.testing.assert_allclose(one, other, atol=1e-4)
+    assert_same_motion(pipe, one, other)
 
 
 @pytest.mark.parametrize("method", ["latent", "semantic", "fused"])
@@ -53,7 +54,7 @@ def test_a_concept_twice_at_half_weight_counts_once(pipe: MotionPipeline, method
     how = {"method": method, **({"text": f"{WALK} and waves"} if method == "fused" else {})}
     whole = pipe.compose([Concept(WALK), Concept(WAVE)], **how, **FEW).joints
     halves = pipe.compose([Concept(WALK, 0.5), Concept(WAVE), Concept(WALK, 0.5)], **how, **FEW).joints
-    np.testing.assert_allclose(whole, halves, atol=1e-4)
+    assert_same_motion(pipe, whole, halves)
 
 
 @pytest.mark.parametrize(
@@ -64,9 +65,9 @@ def test_fusion_with_one_share_is_that_term(
 ) -> None:
     concepts = [Concept(WALK), Concept(WAVE)]
     fused = pipe.compose(concepts, lambdas=lambdas, **FEW).joints
-    np.testing.assert_allclose(fused, pipe.compose(concepts, **same, **FEW).joints, atol=1e-4)
+    assert_same_motion(pipe, fused, pipe.compose(concepts, **same, **FEW).joints)
     text = pipe.compose(concepts, lambdas=(0.0, 0.0, 1.0), text="someone bows", **FEW).joints
-    np.testing.assert_allclose(text, pipe.generate("someone bows", **FEW).joints, atol=1e-4)
+    assert_same_motion(pipe, text, pipe.generate("someone bows", **FEW).joints)
 
 
 def test_methods_differ_and_weights_matter(pipe: MotionPipeline) -> None:

@@ -194,12 +194,23 @@ class CrossAttention(nn.Module):
         return self.out(mixed.reshape(-1, tokens, width))
 
 
+class AdaptiveNorm(nn.LayerNorm):
+    """LayerNorm with the scale and shift that a `Clock` hands out."""
+
+    def __init__(self, width: int) -> None:
+        super().__init__(width, elementwise_affine=False)
+
+    def forward(self, x: Tensor, scale: Tensor, shift: Tensor) -> Tensor:  # type: ignore[override]
+        """x (r, c, d), scale and shift (r, 1, d)."""
+        return super().forward(x) * scale + shift
+
+
 class DenoiserLayer(nn.Module):
     """Pre-norm self-attention over latent tokens, cross-attention to the context, feed-forward."""
 
     def __init__(self, config: DenoiserConfig) -> None:
         super().__init__()
-        self.norm = nn.LayerNorm(config.width, elementwise_affine=False)
+        self.norm = AdaptiveNorm(config.width)
         self.self_attention = SelfAttention(config.width, config.heads)
         self.cross_attention = CrossAttention(config.width, config.heads)
         self.feed = FeedForward(config.width, config.feed_forward)
@@ -210,10 +221,9 @@ class DenoiserLayer(nn.Module):
     ) -> Tensor:
         """modulation: scale and shift of the three normalisations, (r, 1, d) each."""
         before_self, shift_self, before_cross, shift_cross, before_feed, shift_feed = modulation
-        x = x + self.dropout(self.self_attention(self.norm(x) * before_self + shift_self, None))
-        normed = self.norm(x) * before_cross + shift_cross
-        x = x + self.dropout(self.cross_attention(normed, *pair, bias, mixing))
-        return x + self.dropout(self.feed(self.norm(x) * before_feed + shift_feed))
+        x = x + self.dropout(self.self_attention(self.norm(x, before_self, shift_self), None))
+        x = x + self.dropout(self.cross_attention(self.norm(x, before_cross, shift_cross), *pair, bias, mixing))
+        return x + self.dropout(self.feed(self.norm(x, before_feed, shift_feed)))
 
 
 class StepNetwork(SkipStack):
