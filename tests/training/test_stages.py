@@ -145,8 +145,10 @@ def test_identities_hold_to_rounding_in_float32(bundle: Path) -> None:
     plain = pipe.generate(walk, seed=1, **few).joints
     clips = pipe.batch([walk, turn], takes=2, seconds=[2, 3], seed=1, foot_fix=False)
     alone = [pipe.generate(clip.text, seed=clip.seed, seconds=clip.duration, foot_fix=False) for clip in clips]
-    pairs = [(clip.joints, own.joints) for clip, own in zip(clips, alone, strict=True)]
-    pairs += [(pipe.compose([walk], method=how, seed=1, **few).joints, plain) for how in METHODS]
+    for clip, own in zip(clips, alone, strict=True):
+        # Padding changes roundings in the text encoder, whose int8 blocks can then fall on the other side.
+        np.testing.assert_allclose(clip.joints, own.joints, atol=1e-3)
+    pairs = [(pipe.compose([walk], method=how, seed=1, **few).joints, plain) for how in METHODS]
     both = [Concept(walk), Concept(turn, 0.7)]
     latent, semantic = (pipe.compose(both, method=how, seed=1, **few).joints for how in METHODS[:2])
     pairs.append((pipe.compose(both[::-1], method="latent", seed=1, **few).joints, latent))
