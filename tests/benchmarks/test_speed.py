@@ -33,7 +33,7 @@ def test_the_summary_compares_minima() -> None:
 
 
 def test_a_line_knows_a_curve() -> None:
-    straight = scaling.line({f"{n} frames": [3.0 + 0.5 * n, 99.0] for n in (20, 100, 196)})
+    straight = scaling.line({f"{n} frames": [3.0 + 0.5 * n, 999.0] for n in (20, 100, 196)})
     assert straight["start_ms"] == pytest.approx(3.0) and straight["per_unit_ms"] == pytest.approx(0.5)
     assert straight["deviation"] == pytest.approx(0.0, abs=1e-9)
     assert scaling.line({f"{n} frames": [float(n * n)] for n in (20, 100, 196)})["deviation"] > 0.1
