@@ -4,7 +4,8 @@ or exported anew (in another precision, with further graphs) where the checkpoin
     python -m kinegraph_export.recover --bundle BUNDLE --preset edge --vaes weights/edge --run runs/recovered
 
 The exporter moves, transposes and renames weights. Where each one went is found by exporting modules of the same shape
-whose weights are all different numbers. What comes back are the weights that the bundle holds, rounded to float16.
+whose weights are all different numbers. What comes back are the weights that the bundle holds, rounded to float16 or
+int8: a place to train on from, and from an fp32 bundle the same graphs again.
 """
 
 from __future__ import annotations
@@ -34,15 +35,19 @@ from kinegraph_training.run_tables import write_tables
 
 FloatArrays = dict[str, np.ndarray]
 
+QUANTISED = "_quantized"
+"""How onnxruntime's quantiser names the int8 weights of a tensor; their scale is `{name}_scale`."""
+
 
 def numbers(model: onnx.ModelProto) -> FloatArrays:
-    """Floating-point initializers as float32, those stored as float16 under the name they are widened to."""
-    kinds = (onnx.TensorProto.FLOAT, onnx.TensorProto.FLOAT16)
-    return {
-        tensor.name.removesuffix(".half"): numpy_helper.to_array(tensor).astype(np.float32)
-        for tensor in model.graph.initializer
-        if tensor.data_type in kinds
-    }
+    """Floating-point weights as float32: those stored as float16 under the name they are widened to, those in int8
+    multiplied by their scale."""
+    arrays = {tensor.name.removesuffix(".half"): numpy_helper.to_array(tensor) for tensor in model.graph.initializer}
+    found = {name: value.astype(np.float32) for name, value in arrays.items() if value.dtype.kind == "f"}
+    for name in [name for name in arrays if name.endswith(QUANTISED)]:
+        own = name.removesuffix(QUANTISED)
+        found[own] = arrays[name].astype(np.float32) * found.pop(f"{own}_scale")
+    return found
 
 
 def views(value: np.ndarray) -> Iterator[np.ndarray]:
@@ -123,8 +128,6 @@ def recover(folder: Path, preset: str, vaes: Path, run: Path) -> None:
         InvalidInputError: it was not exported from this preset.
     """
     bundle, wanted = read_bundle(folder), read_preset(preset)
-    if bundle.manifest.precision != "fp32":
-        raise InvalidInputError(f"{folder} holds int8 weights, which cannot be trained on; take an fp32 bundle")
     hierarchy, statistics = hierarchy_of(bundle, wanted.denoiser, vaes)
     shapes = {level: asdict(shape) for level, shape in hierarchy.latents.items()}
     known = {"config": asdict(wanted.denoiser), "training": asdict(wanted.denoiser_training), "latents": shapes}
