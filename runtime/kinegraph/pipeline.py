@@ -19,7 +19,7 @@ from kinegraph.concepts import Concept, checked_concepts, checked_lambdas, joint
 from kinegraph.conditions import Conditions, GraphArrays, conditions, padded, repeated
 from kinegraph.decoding import decode, finite
 from kinegraph.denoisers import Denoisers
-from kinegraph.diffusion.sampler import OnStep
+from kinegraph.diffusion.sampler import OnStep, part_of
 from kinegraph.duration import with_own_length
 from kinegraph.edits import edge_terms
 from kinegraph.errors import InvalidInputError
@@ -177,8 +177,7 @@ class MotionPipeline:
             seed, steps, guidance, foot_fix, on_step: as in `generate`.
 
         Raises:
-            InvalidInputError: as in `generate`, no list, too many clips, or a graph with weights.
-            Cancelled, NonFiniteError: as in `generate`.
+            InvalidInputError, Cancelled, NonFiniteError: as in `generate`; also for too many clips, and for weights.
         """
         lengths = part_lengths(texts, seconds, MAX_TAKES, "a batch")
         wishes: dict[str, Any] = {"seed": seed, "steps": steps, "guidance": guidance, "foot_fix": foot_fix}
@@ -188,16 +187,14 @@ class MotionPipeline:
         if any(node.weight != 1 for graph in graphs for node in graph.nodes):
             raise InvalidInputError("clips that share one run cannot weigh edges; make weighted clips one by one")
         arrays = caption_arrays(self._sessions.text_encoder, self._tokenizer, graphs)
-        duration = self._tables.get(DURATION)
         own = [
-            with_own_length(each, duration, self.manifest, [known]) if length is None else each
+            with_own_length(each, self._tables.get(DURATION), self.manifest, [known]) if length is None else each
             for each, known, length in zip(options, arrays, lengths, strict=True)
         ]
-        copies = len(seeds) // len(own)
-        each_clip = [replace(own[place // copies], seed=value) for place, value in enumerate(seeds)]
-        encoded = repeated(self._encode(arrays), copies)
+        each_clip = [replace(own[place // takes], seed=value) for place, value in enumerate(seeds)]
+        encoded = repeated(self._encode(arrays), takes)
         latent = Denoisers(self._sessions, self.manifest).guided(encoded, each_clip, on_step)
-        return self._clips(latent, each_clip, [graph.caption for graph in graphs for _ in range(copies)])
+        return self._clips(latent, each_clip, [graph.caption for graph in graphs for _ in range(takes)])
 
     def sequence(
         self,
@@ -215,7 +212,8 @@ class MotionPipeline:
         Args:
             texts: 1 to 32 sentences or graphs; sentence k is generated with seed + k.
             seconds: of each part, before the joins: one length, one per sentence, or None for what each asks for.
-            seed, steps, guidance, foot_fix, on_step: as in `generate`.
+            seed, steps, guidance, foot_fix: as in `generate`.
+            on_step: as in `generate`; its `done` and `total` are those of all parts.
 
         Raises:
             InvalidInputError, Cancelled, NonFiniteError: as in `generate`.
@@ -226,7 +224,9 @@ class MotionPipeline:
         graphs = [text if isinstance(text, SemanticGraph) else self.parse(text) for text in texts]
         first = options[0].seed
         clips = [
-            self.generate(graph, seconds=length, seed=first + place, on_step=on_step, **wishes)
+            self.generate(
+                graph, seconds=length, seed=first + place, on_step=part_of(on_step, place, len(texts)), **wishes
+            )
             for place, (graph, length) in enumerate(zip(graphs, lengths, strict=True))
         ]
         joints = joined([clip.joints for clip in clips], self.manifest.fps)
