@@ -146,7 +146,7 @@ def _targets(options: argparse.Namespace) -> list[Path]:
 def _make(options: argparse.Namespace, targets: Sequence[Path], make: Callable[..., list[Clip]]) -> int:
     """Load, make, write, report."""
     start = time.perf_counter()
-    pipeline = _load(options.bundle, options.threads)
+    pipeline = _load(options.bundle, options.threads, getattr(options, "graph", None) is None)
     loaded = time.perf_counter()
     with Progress.on_stderr(quiet=options.quiet, forced=options.progress) as progress:
         clips = make(
@@ -239,7 +239,7 @@ def _parse(options: argparse.Namespace) -> int:
         return _parse_one(options)
     check_only_jsonl(options)
     lines = captions(options.jsonl)
-    pipeline = _load(options.bundle, None)
+    pipeline = _load(options.bundle, None, True)
     for place, caption in lines:
         try:
             graph = pipeline.parse(caption)
@@ -256,7 +256,7 @@ def _parse_one(options: argparse.Namespace) -> int:
     if options.svg is not None:
         check_target(options.svg, options.force, (".svg",))
     wish = input_graph(options.text, options.graph)
-    graph = edited(_load(options.bundle, None).parse(wish) if isinstance(wish, str) else wish, options.edits)
+    graph = edited(_load(options.bundle, None, True).parse(wish) if isinstance(wish, str) else wish, options.edits)
     if options.svg is None:
         print(as_json(graph.to_dict(), pretty=not options.json))
     else:
@@ -303,9 +303,12 @@ def _bench(options: argparse.Namespace) -> int:
     return 0
 
 
-def _load(bundle: Path | None, threads: int | None) -> MotionPipeline:
+def _load(bundle: Path | None, threads: int | None, parses: bool) -> MotionPipeline:
     from kinegraph.pipeline import MotionPipeline
+    from kinegraph.text.parser import import_in_background
 
+    if parses:
+        import_in_background()
     return MotionPipeline.load(bundle, threads=threads)
 
 

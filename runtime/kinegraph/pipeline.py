@@ -183,8 +183,7 @@ class MotionPipeline:
             seed, steps, guidance, foot_fix, on_step: as in `generate`.
 
         Raises:
-            InvalidInputError: as in `generate`, no list, too many clips, or a graph with weights.
-            Cancelled, NonFiniteError: as in `generate`.
+            InvalidInputError, Cancelled, NonFiniteError: as in `generate`; also for too many clips, and for weights.
         """
         lengths = part_lengths(texts, seconds, MAX_TAKES, "a batch")
         wishes: dict[str, Any] = {"seed": seed, "steps": steps, "guidance": guidance, "foot_fix": foot_fix}
@@ -194,16 +193,14 @@ class MotionPipeline:
         if any(node.weight != 1 for graph in graphs for node in graph.nodes):
             raise InvalidInputError("clips that share one run cannot weigh edges; make weighted clips one by one")
         arrays = caption_arrays(self._sessions.text_encoder, self._tokenizer, graphs)
-        duration = self._tables.get(DURATION)
         own = [
-            with_own_length(each, duration, self.manifest, [known]) if length is None else each
+            with_own_length(each, self._tables.get(DURATION), self.manifest, [known]) if length is None else each
             for each, known, length in zip(options, arrays, lengths, strict=True)
         ]
-        copies = len(seeds) // len(own)
-        each_clip = [replace(own[place // copies], seed=value) for place, value in enumerate(seeds)]
-        encoded = repeated(self._encode(arrays), copies)
+        each_clip = [replace(own[place // takes], seed=value) for place, value in enumerate(seeds)]
+        encoded = repeated(self._encode(arrays), takes)
         latent = Denoisers(self._sessions, self.manifest).guided(encoded, each_clip, on_step)
-        own_graphs = [graph for graph in graphs for _ in range(copies)]
+        own_graphs = [graph for graph in graphs for _ in range(takes)]
         clips = self._clips(latent, each_clip, [graph.caption for graph in own_graphs])
         return [replace(clip, graph=graph) for clip, graph in zip(clips, own_graphs, strict=True)]
 
