@@ -18,7 +18,7 @@ from kinegraph.bundle import read_bundle
 from kinegraph.concepts import Concept, checked_concepts, checked_lambdas, joint_caption
 from kinegraph.conditions import Conditions, GraphArrays, conditions, graph_arrays, padded, repeated
 from kinegraph.decoding import decode, finite
-from kinegraph.denoisers import Denoisers
+from kinegraph.denoisers import Denoisers, Mixture
 from kinegraph.diffusion.sampler import OnStep
 from kinegraph.duration import with_own_length
 from kinegraph.edits import edge_terms
@@ -125,12 +125,12 @@ class MotionPipeline:
         arrays = [self._arrays(each) for each, _ in terms]
         if seconds is None:
             options = with_own_length(options, self._tables.get(DURATION), self.manifest, arrays[:1])
-        encoded, weights = self._encode(arrays), [weight for _, weight in terms]
+        encoded, weights = self._encode(arrays), tuple(weight for _, weight in terms)
         denoisers = Denoisers(self._sessions, self.manifest)
-        if weights == [1.0]:
+        if weights == (1.0,):
             latent = denoisers.guided(encoded, [options], on_step)
         else:
-            latent = denoisers.composed(encoded, weights, [], (1.0, 0.0, 0.0), options, on_step)
+            latent = denoisers.composed(Mixture(encoded, (1.0,), (weights,), (1.0, 0.0, 0.0)), options, on_step)
         return self._clips(latent, [options], [graph.caption])[0]
 
     def takes(
@@ -240,20 +240,30 @@ class MotionPipeline:
             self.manifest, seconds=seconds, seed=seed, steps=steps, guidance=guidance, foot_fix=foot_fix
         )
         joint = joint_caption(found) if text is None else text
-        wanted = [concept.text for concept in found] + ([joint] if shares[2] else [])
+        mixture, options = self._mixture(found, [joint] if shares[2] else [], shares, options, seconds is None)
+        latent = Denoisers(self._sessions, self.manifest).composed(mixture, options, on_step)
+        caption = joint.caption if isinstance(joint, SemanticGraph) else joint
+        return self._clips(latent, [options], [caption])[0]
+
+    def _mixture(
+        self,
+        concepts: Sequence[Concept],
+        joint: Sequence[str | SemanticGraph],
+        shares: tuple[float, float, float],
+        options: GenerateOptions,
+        own_length: bool,
+    ) -> tuple[Mixture, GenerateOptions]:
+        """Concepts and at most one joint text, encoded; `own_length` asks the concepts for the length."""
+        wanted = [*(concept.text for concept in concepts), *joint]
         graphs = [each if isinstance(each, SemanticGraph) else self.parse(each) for each in wanted]
         terms = [edge_terms(graph) for graph in graphs]
         arrays = [[self._arrays(each) for each, _ in own] for own in terms]
-        if seconds is None:
-            wanted_ones = [own[0] for own, concept in zip(arrays, found, strict=False) if concept.weight > 0]
-            options = with_own_length(options, self._tables.get(DURATION), self.manifest, wanted_ones)
+        if own_length:
+            positive = [own[0] for own, concept in zip(arrays, concepts, strict=False) if concept.weight > 0]
+            options = with_own_length(options, self._tables.get(DURATION), self.manifest, positive)
         encoded = self._encode([each for own in arrays for each in own])
-        weights = [one.weight * part for one, own in zip(found, terms, strict=False) for _, part in own]
-        joint_weights = [part for own in terms[len(found) :] for _, part in own]
-        denoisers = Denoisers(self._sessions, self.manifest)
-        latent = denoisers.composed(encoded, weights, joint_weights, shares, options, on_step)
-        caption = joint.caption if isinstance(joint, SemanticGraph) else joint
-        return self._clips(latent, [options], [caption])[0]
+        parts = tuple(tuple(part for _, part in own) for own in terms)
+        return Mixture(encoded, tuple(concept.weight for concept in concepts), parts, shares), options
 
     def _clips(self, latent: FloatArray, wishes: Sequence[GenerateOptions], captions: Sequence[str]) -> list[Clip]:
         """Latents (B, C, z) of the finest level as B clips."""
