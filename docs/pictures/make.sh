@@ -10,3 +10,6 @@ kinegraph sequence "a person walks forward" "a person bows" --seconds 3 --seed 2
 kinegraph parse "a tired person walks and turns to the right" --weight "to the right=0.3" --svg graph.svg
 kinegraph generate "a tired person walks and turns to the right" --seconds 4 --seed 6 --weight "to the right=0.3" -o graph_less.png
 kinegraph generate "a tired person walks and turns to the right" --seconds 4 --seed 6 -o graph_more.png
+# the map alone is kept: of the clip there is a GIF already
+kinegraph compose --and "a person walks forward" --and "a person waves the right hand" --seconds 4 --seed 4 -o composed.npz --energy energy.png
+rm composed.npz

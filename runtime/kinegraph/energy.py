@@ -15,7 +15,7 @@ from kinegraph.concepts import Concept, checked_concepts, checked_lambdas, joint
 from kinegraph.contract import LEVELS
 from kinegraph.denoisers import Denoisers, Mixture
 from kinegraph.diffusion.ddim import DdimCoefficients, ddim_coefficients
-from kinegraph.diffusion.energy import noise_field, plane_through, potential
+from kinegraph.diffusion.energy import SAME, noise_field, plane_through, potential
 from kinegraph.diffusion.sampler import OnStep, Predict, StepInfo, coarse_to_fine, initial_noise, sample_level
 from kinegraph.errors import Cancelled
 from kinegraph.formats.atomic import check_target, write_atomically
@@ -130,7 +130,7 @@ def energy_maps(
     joint = joint_caption(found) if text is None else text
     mixture, options = pipe._mixture(found, [joint], shares, options, seconds is None)
     words = [*(concept.caption for concept in found), joint.caption if isinstance(joint, SemanticGraph) else joint]
-    labels = [f"{caption}, weight {weight:g}" for caption, weight in zip(words, mixture.concepts, strict=False)]
+    labels = [concept.caption + ("" if concept.weight == 1 else f", weight {concept.weight:g}") for concept in found]
     labels += [f"composed: {method}", f"one text: {words[-1]}"]
     alone = [mixture.alone(number) for number in range(len(words))]
     denoisers = Denoisers(pipe._sessions, pipe.manifest)
@@ -173,7 +173,8 @@ def maps_of(
 def axes_around(samples: Floats) -> tuple[Floats, Floats]:
     """Places (GRID,) along both axes of a square around samples (n, 2)."""
     low, high = samples.min(axis=0), samples.max(axis=0)
-    # samples that coincide leave the size open: one standard deviation
-    half = MARGIN * float((high - low).max()) / 2 or 1.0
+    side = float((high - low).max())
+    # samples that coincide leave the size open: one standard deviation each way
+    half = MARGIN * side / 2 if side > SAME else 1.0
     first, second = (np.linspace(middle - half, middle + half, GRID) for middle in (low + high) / 2)
     return first, second

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +23,9 @@ from kinegraph.diffusion.sampler import Predict
 from kinegraph.errors import NonFiniteError
 
 Floats = NDArray[np.float64]
+
+SAME: Final = 1e-3
+"""Standard deviations of the latent: samples as near as this are one, and what parts them is rounding."""
 
 
 @dataclass(frozen=True)
@@ -57,8 +61,7 @@ def plane_through(samples: Sequence[Floats]) -> Plane:
     for each in (across, *(first - other for other in others), *np.eye(len(first))):
         rest = each - (found @ each) @ found
         length = float(np.linalg.norm(rest))
-        # a direction that is all but lost to rounding is none
-        if len(found) < 2 and length > max(1e-4 * float(np.linalg.norm(each)), 1e-6):
+        if len(found) < 2 and length > SAME:
             found = np.vstack([found, rest / length])
     return Plane(samples[0], found)
 

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
     from kinegraph.energy import EnergyMap, EnergyMaps
 
-CONTOURS: Final = 16
+CONTOURS: Final = 13
 PER_LINE: Final = 4
 BESIDE: Final = 0.05
 """Of the map's side: a sample further from the plane is drawn hollow."""
@@ -27,7 +27,7 @@ def encode(found: EnergyMaps) -> bytes:
 
     lines = -(-len(found.maps) // PER_LINE)
     columns = min(len(found.maps), PER_LINE)
-    figure = Figure(figsize=(2.6 * columns + 0.8, 3.2 * lines + 0.3), dpi=84, layout="constrained")
+    figure = Figure(figsize=(2.6 * columns + 0.8, 2.9 * lines + 0.3), dpi=80, layout="constrained")
     axes = figure.subplots(lines, columns, squeeze=False)
     highest = max(1e-6, *(float(one.energy.max()) for one in found.maps))
     # rings of a bowl are evenly spaced when their heights grow with the square
@@ -41,12 +41,12 @@ def encode(found: EnergyMaps) -> bytes:
         axis.tick_params(labelsize=6, colors=MIDDLE)
     for axis in axes.flat[len(found.maps) :]:
         axis.axis("off")
-    bar = figure.colorbar(filled, ax=axes, shrink=0.8, pad=0.01, ticks=levels[::5], format="%.2g")
+    bar = figure.colorbar(filled, ax=axes, shrink=0.8, pad=0.01, ticks=levels[::4], format="%.2g")
     bar.set_label("energy above the lowest", fontsize=7, color=MIDDLE)
     bar.ax.tick_params(labelsize=6, colors=MIDDLE)
     rest = max(own.rest for own in found.maps)
     note = (
-        "stars and dots: where samples end, hollow beside the plane; unit: one standard deviation of the specific latent; "
+        "stars and dots: where samples end, hollow beside the plane; unit: standard deviation of the specific latent; "
         f"timestep {found.timestep}; at most {rest:.0%} of the noise is no gradient"
     )
     figure.supxlabel(note, fontsize=7, color=MIDDLE)
