@@ -27,7 +27,7 @@ def encode(found: EnergyMaps) -> bytes:
 
     lines = -(-len(found.maps) // PER_LINE)
     columns = min(len(found.maps), PER_LINE)
-    figure = Figure(figsize=(2.6 * columns + 0.8, 2.9 * lines + 0.3), dpi=80, layout="constrained")
+    figure = Figure(figsize=(2.6 * columns + 0.8, 3.0 * lines + 0.4), dpi=80, layout="constrained")
     axes = figure.subplots(lines, columns, squeeze=False)
     highest = max(1e-6, *(float(one.energy.max()) for one in found.maps))
     # rings of a bowl are evenly spaced when their heights grow with the square
