@@ -27,7 +27,7 @@ from kinegraph.cli_arguments import (
 )
 from kinegraph.cli_input import captions, check_only_jsonl, concepts, edited, input_graph, take_files
 from kinegraph.cli_output import Progress, as_json, info_record, info_text, one_line, verify_text
-from kinegraph.errors import Cancelled, InvalidInputError, KinegraphError, MissingExtraError
+from kinegraph.errors import Cancelled, InvalidInputError, KinegraphError, MissingExtraError, OutputError
 
 # Everything that loads numpy or onnxruntime is imported where it is used: `--help` must be instant.
 if TYPE_CHECKING:
@@ -101,11 +101,31 @@ def _generate(options: argparse.Namespace) -> int:
 
 def _compose(options: argparse.Namespace) -> int:
     targets = _targets(options)
+    if options.energy is not None:
+        _check_energy(options.energy, targets, options.force)
     found = concepts(options.wanted, options.unwanted)
     own = {"method": options.method, "text": options.text, "lambdas": options.lambdas}
-    return _make(
-        options, targets, lambda pipeline, **wishes: _one_by_one(pipeline.compose, found, len(targets), own | wishes)
-    )
+
+    def make(pipeline: MotionPipeline, **wishes: Any) -> list[Clip]:
+        clips = _one_by_one(pipeline.compose, found, len(targets), own | wishes)
+        if options.energy is not None:
+            from kinegraph.energy import energy_maps
+
+            del wishes["foot_fix"]  # latents know no feet
+            maps = energy_maps(pipeline, found, **own | wishes | {"seed": clips[0].seed})
+            maps.save(options.energy, force=options.force)
+        return clips
+
+    return _make(options, targets, make)
+
+
+def _check_energy(path: Path, targets: Sequence[Path], force: bool) -> None:
+    """The picture beside the clip must be another file, and one that can be written."""
+    from kinegraph.formats.atomic import check_target
+
+    check_target(path, force, (".png",))
+    if path.resolve() in [target.resolve() for target in targets]:
+        raise OutputError(f"--energy and -o name the same file {str(path)!r}; choose two")
 
 
 def _sequence(options: argparse.Namespace) -> int:

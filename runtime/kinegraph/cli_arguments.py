@@ -72,6 +72,9 @@ def add_compose(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--lambdas", type=level_numbers, metavar="L,S,M", help="shares of latent, semantic and joint text in fused"
     )
+    parser.add_argument(
+        "--energy", type=Path, metavar="FILE.png", help="also draw the energy of each concept and of the composition"
+    )
     _add_sampling(parser)
 
 

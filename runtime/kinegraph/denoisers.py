@@ -31,6 +31,37 @@ FloatArray = NDArray[np.float32]
 
 
 @dataclass(frozen=True)
+class Mixture:
+    """Several concepts and their joint text, as graphs whose predictions are mixed (`diffusion.composition`)."""
+
+    encoded: Conditions
+    """All graphs: those of each concept, then those of the joint text."""
+    concepts: tuple[float, ...]
+    """Weight of each concept."""
+    parts: tuple[tuple[float, ...], ...]
+    """Of each concept, then of the joint text if it is encoded: the weights of its graphs (`edits.edge_terms`)."""
+    shares: tuple[float, float, float]
+    """Of the latent-aware, the semantic-aware and the joint-text term."""
+
+    @property
+    def weights(self) -> list[float]:
+        """Of the graphs of all concepts."""
+        return [weight * part for weight, own in zip(self.concepts, self.parts, strict=False) for part in own]
+
+    @property
+    def joint(self) -> list[float]:
+        """Of the graphs of the joint text."""
+        return [part for own in self.parts[len(self.concepts) :] for part in own]
+
+    def alone(self, number: int) -> Mixture:
+        """One of `parts` under plain guidance, as if it had been asked for by itself."""
+        start = sum(len(own) for own in self.parts[:number])
+        rows = slice(start, start + len(self.parts[number]))
+        encoded = Conditions(*(part[rows] for part in vars(self.encoded).values()))
+        return Mixture(encoded, (1.0,), (self.parts[number],), (1.0, 0.0, 0.0))
+
+
+@dataclass(frozen=True)
 class Denoisers:
     """From encoded graphs to the latent that the decoder reads."""
 
@@ -50,42 +81,46 @@ class Denoisers:
 
         return self._sampled(options, predictor_for, on_step)
 
-    def composed(
-        self,
-        encoded: Conditions,
-        weights: Sequence[float],
-        joint: Sequence[float],
-        shares: tuple[float, float, float],
-        options: GenerateOptions,
-        on_step: OnStep | None,
-    ) -> FloatArray:
-        """Latent of the finest level from several graphs, one run per step whatever the method.
-
-        Rows of `encoded` come in the order of `weights`, then of `joint`, the graphs of the joint text.
-        """
+    def composed(self, mixture: Mixture, options: GenerateOptions, on_step: OnStep | None) -> FloatArray:
+        """Latent of the finest level from several graphs, one run per step whatever the method."""
 
         def predictor_for(number: int, times: DdimCoefficients, coarse: FloatArray | None) -> Predict:
-            name = LEVELS[number]
-            apart = coarse is not None and self.manifest.defaults.guidance_base == "empty"
-            plan = composition(weights, shares, options.guidance[name], coarse=apart, joint_weights=joint)
-            seen = for_level(encoded, self.manifest.levels[name].nodes)
-            first = Conditions(*(part[:1] for part in vars(seen).values()))
-            known = stacked(stacked(self._base(first), without_text(first)), seen)
-            rows = len(plan.mix)
-            shared = None if coarse is None else np.repeat(coarse, len(known.kind), axis=0)
-            network = self._network(name, known, shared, plan.wiring, np.full(rows, options.frames), times)
-            return lambda latent, step: mixed(network(np.repeat(latent, rows, axis=0), step), plan.mix)
+            return self.predictor_of(LEVELS[number], mixture, coarse, options, times)
 
         return self._sampled([options], predictor_for, on_step)
+
+    def predictor_of(
+        self,
+        name: str,
+        mixture: Mixture,
+        coarse: FloatArray | None,
+        options: GenerateOptions,
+        times: DdimCoefficients,
+    ) -> Predict:
+        """Guided noise prediction of one level for a mixture, one sample at a time."""
+        apart = coarse is not None and self.manifest.defaults.guidance_base == "empty"
+        scale = options.guidance[name]
+        plan = composition(mixture.weights, mixture.shares, scale, coarse=apart, joint_weights=mixture.joint)
+        seen = for_level(mixture.encoded, self.manifest.levels[name].nodes)
+        first = Conditions(*(part[:1] for part in vars(seen).values()))
+        known = stacked(stacked(self._base(first), without_text(first)), seen)
+        rows = len(plan.mix)
+        shared = None if coarse is None else np.repeat(coarse, len(known.kind), axis=0)
+        network = self._network(name, known, shared, plan.wiring, np.full(rows, options.frames), times)
+        return lambda latent, step: mixed(network(np.repeat(latent, rows, axis=0), step), plan.mix)
+
+    def plans(self, options: GenerateOptions) -> list[LevelPlan]:
+        """The levels of a run."""
+        return [
+            LevelPlan(name, spec.tokens, spec.latent_width, options.steps[name])
+            for name, spec in ((name, self.manifest.levels[name]) for name in LEVELS)
+        ]
 
     def _sampled(
         self, options: Sequence[GenerateOptions], predictor_for: PredictorFor, on_step: OnStep | None
     ) -> FloatArray:
         """All levels, each sample from the noise of its own seed."""
-        plans = [
-            LevelPlan(name, spec.tokens, spec.latent_width, options[0].steps[name])
-            for name, spec in ((name, self.manifest.levels[name]) for name in LEVELS)
-        ]
+        plans = self.plans(options[0])
         per_sample = [initial_noise(each.seed, plans) for each in options]
         noises = [np.stack(level) for level in zip(*per_sample, strict=True)]
         return coarse_to_fine(plans, noises, predictor_for, self.manifest.schedule.noise, on_step, self.on_latent)[-1]

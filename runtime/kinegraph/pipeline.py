@@ -19,7 +19,7 @@ from kinegraph.concepts import Concept, checked_concepts, checked_lambdas, joint
 from kinegraph.conditions import Conditions, GraphArrays, conditions, padded, repeated
 from kinegraph.contract import LEVELS
 from kinegraph.decoding import decode, finite
-from kinegraph.denoisers import Denoisers
+from kinegraph.denoisers import Denoisers, Mixture
 from kinegraph.diffusion.sampler import OnStep, part_of
 from kinegraph.duration import with_own_length
 from kinegraph.edits import edge_terms
@@ -135,12 +135,12 @@ class MotionPipeline:
         arrays = [self._arrays(each) for each, _ in terms]
         if seconds is None:
             options = with_own_length(options, self._tables.get(DURATION), self.manifest, arrays[:1])
-        encoded, weights = self._encode(arrays), [weight for _, weight in terms]
+        encoded, weights = self._encode(arrays), tuple(weight for _, weight in terms)
         denoisers = self._denoisers(options, graph.caption, on_level)
-        if weights == [1.0]:
+        if weights == (1.0,):
             latent = denoisers.guided(encoded, [options], on_step)
         else:
-            latent = denoisers.composed(encoded, weights, [], (1.0, 0.0, 0.0), options, on_step)
+            latent = denoisers.composed(Mixture(encoded, (1.0,), (weights,), (1.0, 0.0, 0.0)), options, on_step)
         return replace(self._clips(latent, [options], [graph.caption])[0], graph=graph)
 
     def takes(
@@ -276,20 +276,30 @@ class MotionPipeline:
             self.manifest, seconds=seconds, seed=seed, steps=steps, guidance=guidance, foot_fix=foot_fix
         )
         joint = joint_caption(found) if text is None else text
-        wanted = [concept.text for concept in found] + ([joint] if shares[2] else [])
+        mixture, options = self._mixture(found, [joint] if shares[2] else [], shares, options, seconds is None)
+        caption = joint.caption if isinstance(joint, SemanticGraph) else joint
+        latent = self._denoisers(options, caption, on_level).composed(mixture, options, on_step)
+        return self._clips(latent, [options], [caption])[0]
+
+    def _mixture(
+        self,
+        concepts: Sequence[Concept],
+        joint: Sequence[str | SemanticGraph],
+        shares: tuple[float, float, float],
+        options: GenerateOptions,
+        own_length: bool,
+    ) -> tuple[Mixture, GenerateOptions]:
+        """Concepts and at most one joint text, encoded; `own_length` asks the concepts for the length."""
+        wanted = [*(concept.text for concept in concepts), *joint]
         graphs = [each if isinstance(each, SemanticGraph) else self.parse(each) for each in wanted]
         terms = [edge_terms(graph) for graph in graphs]
         arrays = [[self._arrays(each) for each, _ in own] for own in terms]
-        if seconds is None:
-            wanted_ones = [own[0] for own, concept in zip(arrays, found, strict=False) if concept.weight > 0]
-            options = with_own_length(options, self._tables.get(DURATION), self.manifest, wanted_ones)
+        if own_length:
+            positive = [own[0] for own, concept in zip(arrays, concepts, strict=False) if concept.weight > 0]
+            options = with_own_length(options, self._tables.get(DURATION), self.manifest, positive)
         encoded = self._encode([each for own in arrays for each in own])
-        weights = [one.weight * part for one, own in zip(found, terms, strict=False) for _, part in own]
-        joint_weights = [part for own in terms[len(found) :] for _, part in own]
-        caption = joint.caption if isinstance(joint, SemanticGraph) else joint
-        denoisers = self._denoisers(options, caption, on_level)
-        latent = denoisers.composed(encoded, weights, joint_weights, shares, options, on_step)
-        return self._clips(latent, [options], [caption])[0]
+        parts = tuple(tuple(part for _, part in own) for own in terms)
+        return Mixture(encoded, tuple(concept.weight for concept in concepts), parts, shares), options
 
     def _denoisers(self, options: GenerateOptions, caption: str, on_level: OnLevel | None) -> Denoisers:
         """The diffusion models, which tell `on_level` of every level that can be decoded."""

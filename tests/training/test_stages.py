@@ -239,6 +239,22 @@ def test_denoisers_start_from_the_weights_of_others(trained: Path, tmp_path: Pat
     assert all(torch.equal(before[name], after[name]) for name in before if name.startswith("hierarchy."))
 
 
+def test_denoisers_train_on_further_folders(trained: Path, tmp_path: Path) -> None:
+    clip = PreparedClip(
+        "c", walk(52), ("a person walks and waves the left hand",), "composed", "train", "a+b", "normal"
+    )
+    write_data(tmp_path / "more", [clip], 20)
+    (tmp_path / "data").symlink_to(trained / "data")
+    for level in LEVELS:
+        shutil.copytree(trained / "run" / f"vae_{level}", tmp_path / "run" / f"vae_{level}")
+    more = ["--more", str(tmp_path / "more"), "--max_steps", "1", "--val_check_interval", "1"]
+    stage(train_denoisers, tmp_path, "--assets", str(ASSETS), *more)
+    assert steps_of(tmp_path / "run" / "denoisers" / "last.ckpt") == 1
+    with np.load(tmp_path / "run" / "captions.npz", allow_pickle=False) as known:
+        captions = known["captions"].tolist()
+    assert {f"a person walks and waves the {side} hand" for side in ("left", "right")} <= set(captions)
+
+
 def test_other_folders_are_not_overwritten(trained: Path) -> None:
     mine = trained / "mine"
     mine.mkdir()
