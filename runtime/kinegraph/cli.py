@@ -246,7 +246,7 @@ def _play(options: argparse.Namespace) -> int:
             open_browser(url)
 
     with listen(options.port) as listener:
-        pipeline = _load(options.bundle, options.threads)
+        pipeline = _load(options.bundle, options.threads, True)
         try:
             serve(pipeline, listener, started)
         except KeyboardInterrupt:
