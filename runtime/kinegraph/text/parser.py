@@ -9,73 +9,9 @@ from kinegraph.errors import BundleError, BundleFormatError, InvalidInputError, 
 from kinegraph.graph import Action, Argument, SemanticGraph
 from kinegraph.limits import MAX_NODES, MAX_TEXT
 from kinegraph.text import lexicon
+from kinegraph.text.analysis import Analyser
 from kinegraph.text.rules import CONTENT, Frame, Span, frame, is_action, trimmed
 from kinegraph.text.tokens import check_unicode
-
-PIPES: Final[tuple[str, ...]] = ("tok2vec", "tagger", "parser", "attribute_ruler", "lemmatizer")
-
-_LISTENER: Final = {"@architectures": "spacy.Tok2VecListener.v1", "width": 96, "upstream": "tok2vec"}
-
-COMPONENTS: Final[dict[str, dict[str, Any]]] = {
-    "tok2vec": {
-        "model": {
-            "@architectures": "spacy.Tok2Vec.v2",
-            "embed": {
-                "@architectures": "spacy.MultiHashEmbed.v2",
-                "width": 96,
-                "attrs": ["NORM", "PREFIX", "SUFFIX", "SHAPE", "SPACY", "IS_SPACE"],
-                "rows": [5000, 1000, 2500, 2500, 50, 50],
-                "include_static_vectors": False,
-            },
-            "encode": {
-                "@architectures": "spacy.MaxoutWindowEncoder.v2",
-                "width": 96,
-                "depth": 4,
-                "window_size": 1,
-                "maxout_pieces": 3,
-            },
-        }
-    },
-    "tagger": {"model": {"@architectures": "spacy.Tagger.v2", "nO": None, "normalize": False, "tok2vec": _LISTENER}},
-    "parser": {
-        "model": {
-            "@architectures": "spacy.TransitionBasedParser.v2",
-            "state_type": "parser",
-            "extra_state_tokens": False,
-            "hidden_width": 64,
-            "maxout_pieces": 2,
-            "use_upper": True,
-            "nO": None,
-            "tok2vec": _LISTENER,
-        }
-    },
-    "attribute_ruler": {},
-    "lemmatizer": {"mode": "rule"},
-}
-"""The pipeline is built from this table and only filled from the bundle's bytes: nothing in those names code."""
-
-
-def load_pipeline(data: bytes) -> Any:
-    """A spaCy pipeline of `COMPONENTS` with the weights of `nlp.to_bytes()`.
-
-    Raises:
-        MissingExtraError: spaCy is not installed.
-        BundleFormatError: the bytes do not fit the pipeline.
-    """
-    try:
-        from spacy.lang.en import English
-    except ImportError as error:
-        raise MissingExtraError(
-            'parsing a sentence needs spaCy: pip install "kinegraph[text]"; or pass a graph instead of a sentence'
-        ) from error
-    pipeline = English()
-    for name in PIPES:
-        pipeline.add_pipe(name, config=COMPONENTS[name])
-    try:
-        return pipeline.from_bytes(data, exclude=["meta", "config", "config.cfg", "meta.json"])
-    except Exception as error:
-        raise BundleFormatError(f"parser.bin does not hold the parser's weights: {error}") from error
-
 
 class GraphParser:
     """Sentence to graph; deterministic, safe to share between threads.
@@ -86,7 +22,7 @@ class GraphParser:
     """
 
     def __init__(self, pipeline_bytes: bytes) -> None:
-        self._pipeline = load_pipeline(pipeline_bytes)
+        self._analyser = Analyser(pipeline_bytes)
 
     def parse(self, caption: str) -> SemanticGraph:
         """The graph of a caption, offsets in its characters; never empty for a caption with words in it.
@@ -95,10 +31,11 @@ class GraphParser:
             InvalidInputError: no text, blank, without a letter or digit, or longer than `limits.MAX_TEXT`.
         """
         check_caption(caption)
-        doc = self._pipeline(clean(caption))
+        analysis = self._analyser(clean(caption))
+        doc = analysis.parsed
         frames = [frame(token) for token in doc if is_action(token)] or [fallback_frame(doc)]
         cover(doc, frames)
-        return assembled(caption, doc, frames)
+        return assembled(caption, analysis.written, frames)
 
 
 class LazyParser:
@@ -190,6 +127,7 @@ def assembled(caption: str, doc: Any, frames: list[Frame]) -> SemanticGraph:
             start, end = doc[first].idx, doc[last].idx + len(doc[last])
             arguments.append(Argument(role, caption[start:end], start, end))
         room -= len(arguments)
-        start, end = found.head.idx, found.head.idx + len(found.head)
+        head = doc[found.head.i]
+        start, end = head.idx, head.idx + len(head)
         actions.append(Action(caption[start:end], start, end, order, arguments=tuple(arguments)))
     return SemanticGraph(caption, tuple(actions))
