@@ -97,7 +97,7 @@ def _participle(verb: str) -> str:
 FINITE_VERBS: Final = {_third_person(verb): verb for verb in sorted(VERBS) if verb != "do"}
 """Third person to base form; "does" is as often an auxiliary."""
 
-CONFUSED: Final = {"waive": "wave", "waives": "waves", "waiving": "waving"}
+CONFUSED: Final = {"waive": "wave", "waives": "waves", "waiving": "waving", "quater": "quarter"}
 """Words that nobody means in a caption."""
 
 ROTATIONS: Final = frozenset("clockwise counterclockwise anticlockwise counter-clockwise anti-clockwise".split())

@@ -9,8 +9,9 @@ from kinegraph.errors import BundleError, BundleFormatError, InvalidInputError, 
 from kinegraph.graph import Action, Argument, SemanticGraph
 from kinegraph.limits import MAX_NODES, MAX_TEXT
 from kinegraph.text import lexicon
-from kinegraph.text.analysis import Analyser
-from kinegraph.text.rules import CONTENT, Frame, Span, frame, is_action, trimmed
+from kinegraph.text.analysis import Analyser, Analysis
+from kinegraph.text.ranker import ArgumentRanker, Candidates, candidates
+from kinegraph.text.rules import CONTENT, Frame, Span, frame, is_action, is_certain, is_passive, trimmed
 from kinegraph.text.tokens import check_unicode
 
 class GraphParser:
@@ -21,8 +22,9 @@ class GraphParser:
         BundleFormatError: the bytes are no pipeline.
     """
 
-    def __init__(self, pipeline_bytes: bytes) -> None:
+    def __init__(self, pipeline_bytes: bytes, argument_weights: bytes | None = None) -> None:
         self._analyser = Analyser(pipeline_bytes)
+        self._ranker = None if argument_weights is None else ArgumentRanker(argument_weights)
 
     def parse(self, caption: str) -> SemanticGraph:
         """The graph of a caption, offsets in its characters; never empty for a caption with words in it.
@@ -31,11 +33,17 @@ class GraphParser:
             InvalidInputError: no text, blank, without a letter or digit, or longer than `limits.MAX_TEXT`.
         """
         check_caption(caption)
-        analysis = self._analyser(clean(caption))
-        doc = analysis.parsed
-        frames = [frame(token) for token in doc if is_action(token)] or [fallback_frame(doc)]
-        cover(doc, frames)
+        analysis = self.analyse(caption)
+        frames = skeleton(analysis)
+        if self._ranker is not None:
+            for found, options in zip(frames, frame_candidates(analysis, frames), strict=True):
+                found.arguments = with_certain(self._ranker.choose(options), found)
+        cover(analysis.parsed, frames)
         return assembled(caption, analysis.written, frames)
+
+    def analyse(self, caption: str) -> Analysis:
+        """The words of a checked caption with their dependency parse."""
+        return self._analyser(clean(caption))
 
 
 class LazyParser:
@@ -71,6 +79,27 @@ def check_caption(caption: object) -> None:
 def clean(caption: str) -> str:
     """Same length, so that offsets hold: white space and control characters become blanks."""
     return "".join(char if char.isprintable() else " " for char in caption)
+
+
+def skeleton(analysis: Analysis) -> list[Frame]:
+    """The actions of a caption, at least one, with their arguments by the rules."""
+    doc = analysis.parsed
+    return [frame(token) for token in doc if is_action(token)] or [fallback_frame(doc)]
+
+
+def frame_candidates(analysis: Analysis, frames: list[Frame]) -> list[Candidates]:
+    """What the linear model chooses from, for each action."""
+    rules = [{span: role for role, span in found.arguments} for found in frames]
+    voices = ["pass" if is_passive(found.head) else "act" for found in frames]
+    return candidates(analysis.words, [found.head.i for found in frames], rules, voices)
+
+
+def with_certain(chosen: list[tuple[str, Span]], found: Frame) -> list[tuple[str, Span]]:
+    """What the rules are sure of, negation and agents, in place of any choice that overlaps it."""
+    certain = [(role, span) for role, span in found.arguments if is_certain(found.head, span)]
+    free = [(role, span) for role, span in chosen
+            if all(span[1] < first or last < span[0] for _, (first, last) in certain)]
+    return sorted(certain + free, key=lambda item: item[1])
 
 
 def fallback_frame(doc: Any) -> Frame:

@@ -24,6 +24,7 @@ _SUPPORT = frozenset(
     " executes executing give gives giving throw throws throwing have has having get gets".split()
 )
 _OPENERS = frozenset("and or but then who which that he she it they also".split())
+_NOUN_MARKERS = frozenset("a an degree degrees °".split())
 _SIDE_FOLLOWERS = frozenset("and or but then while when before after by for at with in around again until".split())
 
 
@@ -57,6 +58,10 @@ def read(words: Sequence[str], known: Callable[[str], bool], verbs_at: Collectio
         if verbs[place]:
             stand_ins[place] = "takes" if following in _DETERMINERS and following not in _SIDES_OF else "goes"
             lemmas[place] = lexicon.FINITE_VERBS[word]
+        elif word in ("counter", "anti") and following == "clockwise":
+            stand_ins[place] = "very"
+        elif word in lexicon.EVENT_NOUNS and place and lower[place - 1] in _NOUN_MARKERS:
+            stand_ins[place], lemmas[place] = "movement", word
         elif word in lexicon.ROTATIONS and (not following or following in _SIDE_FOLLOWERS or not following.isalpha()):
             stand_ins[place] = "slowly"
         elif word in lexicon.PERSON_NOUNS and following not in lexicon.BODY_NOUNS:

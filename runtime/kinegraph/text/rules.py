@@ -40,6 +40,8 @@ def is_action(token: Token) -> bool:
         return False
     if token.lower_ == "left" and token.i > token.head.i:  # "turns left 90 degrees", taken for "to leave"
         return False
+    if token.lemma_.lower() == "get" and token.dep_ == "auxpass":  # "gets pushed": PropBank's own verb
+        return True
     if token.pos_ == "VERB":
         return token.dep_ not in ("aux", "auxpass", "amod", "case", "compound", "prep")
     return token.pos_ == "AUX" and token.dep_ in ("ROOT", "ccomp", "advcl", "relcl", "conj", "parataxis", "pcomp")
@@ -92,6 +94,10 @@ def _has_word(token: Token) -> bool:
 def frame(head: Token) -> Frame:
     """An action with all arguments its own subtree gives."""
     found = Frame(head)
+    if head.dep_ == "auxpass":
+        found.add("ARG1", subject_span(head.head))
+        found.add("ARG2", trimmed(head.doc, (head.head.i, _own_end(head.head))))
+        return found
     subject = subject_span(head)
     has_object = any(child.dep_ == "dobj" for child in head.children)
     if subject is not None:
@@ -102,11 +108,26 @@ def frame(head: Token) -> Frame:
     return found
 
 
+def _own_end(head: Token) -> int:
+    """Last word of a verb's phrase, before other verbs that are coordinated with it."""
+    joined = [child.i for child in head.rights if child.dep_ in ("cc", "conj")]
+    return min(joined) - 1 if joined else int(head.right_edge.i)
+
+
 def subject_role(head: Token, has_object: bool) -> str:
     """ARG1 for passives and for motion that happens by itself, else ARG0."""
-    passive = any(child.dep_ in PASSIVE_SUBJECTS | {"auxpass"} for child in head.children)
     undergoes = head.lemma_.lower() in words.UNACCUSATIVE | words.STATIVE and not has_object
-    return "ARG1" if passive or undergoes else "ARG0"
+    return "ARG1" if is_passive(head) or undergoes else "ARG0"
+
+
+def is_passive(head: Token) -> bool:
+    """Whether the verb's subject is what it is done to."""
+    return any(child.dep_ in PASSIVE_SUBJECTS | {"auxpass"} for child in head.children)
+
+
+def is_certain(head: Token, span: Span) -> bool:
+    """Negations, and agents behind "by": no annotated captions have enough of them to learn from."""
+    return any(child.dep_ in ("neg", "agent") and span[0] <= child.i <= span[1] for child in head.children)
 
 
 def subject_span(head: Token) -> Span | None:

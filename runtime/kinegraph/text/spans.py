@@ -75,7 +75,20 @@ def phrases(words: Words) -> list[tuple[int, int, int]]:
             span = trim(words, first, last)
             if span is not None:
                 found.setdefault(span, anchor)
+    _join_neighbours(words, found)
     return [(first, last, anchor) for (first, last), anchor in found.items()]
+
+
+def _join_neighbours(words: Words, found: dict[Span, int]) -> None:
+    """ "makes a step | to the left": the parse may have hung on the verb what belongs to the noun."""
+    ends: dict[int, int] = {}
+    for first, last in found:
+        behind = words.pos[first] == "ADP" and last > first
+        if behind or (words.pos[first] == "ADV" and last == first):
+            ends[first] = min(last, ends.get(first, last))
+    for (first, last), anchor in list(found.items()):
+        if words.pos[anchor] in ("NOUN", "PROPN") and last == anchor and last + 1 in ends:
+            found.setdefault((first, ends[last + 1]), anchor)
 
 
 def _spans_at(words: Words, children: list[list[int]], anchor: int) -> list[Span]:
@@ -87,8 +100,9 @@ def _spans_at(words: Words, children: list[list[int]], anchor: int) -> list[Span
     before = [c for c in children[anchor] if c < anchor and words.dep[c] in ("cc", "punct")]
     left = max([first, *(c + 1 for c in before)])
     if words.pos[anchor] in ("VERB", "AUX"):
-        spans += [(anchor, last), (anchor, core)]
-        return spans
+        coordinated = [c for c in children[anchor] if c > anchor and words.dep[c] in ("cc", "conj")]
+        end = coordinated[0] - 1 if coordinated else last
+        return [*spans, (anchor, last), (anchor, core), (first, end), (anchor, end)]
     spans += [(left, core), (left, anchor), (anchor, core)]
     # one modifier behind the noun or preposition after another
     for child in children[anchor]:

@@ -1,0 +1,128 @@
+"""Train the linear model that ranks and types the arguments of actions.
+
+    python -m kinegraph_training.train_parser --gold kit_gold_dev.jsonl --parser assets/parser.bin \
+        --out assets/arguments.npz
+
+Gold graphs are JSON lines, `{"caption", "actions": [{"start", "end", "arguments": [{"role", "start", "end"}]}]}` with
+offsets in characters. Of each different caption one graph counts. The model is multinomial logistic regression with an
+L2 penalty, fitted by L-BFGS: convex, so that the same captions give the same weights.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from collections import Counter
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+
+from kinegraph.errors import InvalidInputError
+from kinegraph.text.parser import GraphParser, frame_candidates, skeleton
+from kinegraph.text.ranker import CLASSES, packed
+from kinegraph.text.roles import ARGUMENT_ROLES, OTHERS
+
+PENALTY = 1.0
+ITERATIONS = 150
+RARE = 2
+"""Features seen less often are left out."""
+
+
+@dataclass(frozen=True)
+class Examples:
+    """Spans with the names of their features and their class (0: no argument)."""
+
+    features: list[list[str]]
+    labels: list[int]
+
+
+def read_gold(path: Path) -> list[dict[str, Any]]:
+    """One graph for each different caption of a file.
+
+    Raises:
+        InvalidInputError: the file cannot be read, or a line is no graph.
+    """
+    try:
+        rows = [json.loads(line) for line in path.read_text(encoding="utf-8").splitlines() if line.strip()]
+        return list({row["caption"]: row for row in rows}.values())
+    except (OSError, ValueError, TypeError, KeyError) as error:
+        raise InvalidInputError(f"{path} holds no gold graphs: {error}") from error
+
+
+def words_of(caption: str, start: int, end: int) -> frozenset[int]:
+    """Places of the letters and digits of a span: punctuation at its ends does not count."""
+    return frozenset(place for place in range(start, end) if caption[place].isalnum())
+
+
+def examples(parser: GraphParser, graphs: Iterable[dict[str, Any]]) -> Examples:
+    """Every candidate span of every action that gold and rules share; gold actions without arguments say nothing."""
+    made = Examples([], [])
+    for graph in graphs:
+        caption = graph["caption"]
+        analysis = parser.analyse(caption)
+        frames = skeleton(analysis)
+        gold = {words_of(caption, a["start"], a["end"]): a["arguments"] for a in graph["actions"] if a["arguments"]}
+        characters = [(token.idx, token.idx + len(token)) for token in analysis.written]
+        for found, options in zip(frames, frame_candidates(analysis, frames), strict=True):
+            arguments = gold.get(words_of(caption, *characters[found.head.i]))
+            if arguments is None:
+                continue
+            wanted = {words_of(caption, a["start"], a["end"]): _class(a["role"]) for a in arguments}
+            for (first, last, _), names in zip(options.spans, options.features, strict=True):
+                made.features.append(names)
+                made.labels.append(wanted.get(words_of(caption, characters[first][0], characters[last][1]), 0))
+    return made
+
+
+def _class(role: str) -> int:
+    return ARGUMENT_ROLES.index(role if role in ARGUMENT_ROLES else OTHERS) + 1
+
+
+def fit(found: Examples, penalty: float = PENALTY) -> tuple[list[str], np.ndarray]:
+    """Names of features and their weights (n, CLASSES), float32."""
+    counts = Counter(name for names in found.features for name in set(names))
+    names = sorted(name for name, count in counts.items() if count >= RARE)
+    index = {name: place for place, name in enumerate(names)}
+    rows = [[index[name] for name in row if name in index] for row in found.features]
+    flat = torch.tensor([place for row in rows for place in row])
+    offsets = torch.tensor(np.cumsum([0] + [len(row) for row in rows])[:-1])
+    labels = torch.tensor(found.labels)
+    weights = torch.zeros((len(names), CLASSES), requires_grad=True)
+    optimiser = torch.optim.LBFGS([weights], max_iter=ITERATIONS, history_size=20, line_search_fn="strong_wolfe")
+
+    def loss() -> torch.Tensor:
+        optimiser.zero_grad()
+        scores = torch.nn.functional.embedding_bag(flat, weights, offsets, mode="sum")
+        value = torch.nn.functional.cross_entropy(scores, labels, reduction="sum") + penalty / 2 * weights.square().sum()
+        value.backward()
+        return value
+
+    optimiser.step(loss)
+    return names, weights.detach().numpy()
+
+
+def train(parser: GraphParser, graphs: Sequence[dict[str, Any]], penalty: float = PENALTY) -> bytes:
+    """The content of `arguments.npz`, trained on these graphs; `parser` is one without weights."""
+    return packed(*fit(examples(parser, graphs), penalty))
+
+
+def main(argv: list[str] | None = None) -> None:
+    """Command line."""
+    options = argparse.ArgumentParser(prog="kinegraph_training.train_parser", description=__doc__.split("\n")[0])
+    options.add_argument("--gold", type=Path, nargs="+", required=True, help="JSON lines of gold graphs")
+    options.add_argument("--parser", type=Path, required=True, help="the spaCy pipeline, parser.bin of the assets")
+    options.add_argument("--out", type=Path, required=True, help="where arguments.npz goes")
+    found = options.parse_args(argv)
+    torch.set_num_threads(1)
+    graphs = [graph for path in found.gold for graph in read_gold(path)]
+    data = train(GraphParser(found.parser.read_bytes()), graphs)
+    found.out.write_bytes(data)
+    print(f"{len(data) / 1e3:.0f} kB from {len(graphs)} captions in {found.out}")
+
+
+if __name__ == "__main__":
+    main()
