@@ -28,6 +28,8 @@ from kinegraph.text.roles import ARGUMENT_ROLES, OTHERS
 
 PENALTY = 1.0
 ITERATIONS = 150
+UNKNOWN_SHARE = 0.3
+"""Every example counts this much once more without features of content words: the next caption has other words."""
 RARE = 2
 """Features seen less often are left out."""
 
@@ -88,16 +90,18 @@ def fit(found: Examples, penalty: float = PENALTY) -> tuple[list[str], np.ndarra
     names = sorted(name for name, count in counts.items() if count >= RARE)
     index = {name: place for place, name in enumerate(names)}
     rows = [[index[name] for name in row if name in index] for row in found.features]
+    rows += [[index[name] for name in row if name in index and name[0] != "*"] for row in found.features]
     flat = torch.tensor([place for row in rows for place in row])
     offsets = torch.tensor(np.cumsum([0] + [len(row) for row in rows])[:-1])
-    labels = torch.tensor(found.labels)
+    labels = torch.tensor(found.labels * 2)
+    shares = torch.tensor([1.0] * len(found.labels) + [UNKNOWN_SHARE] * len(found.labels))
     weights = torch.zeros((len(names), CLASSES), requires_grad=True)
     optimiser = torch.optim.LBFGS([weights], max_iter=ITERATIONS, history_size=20, line_search_fn="strong_wolfe")
 
     def loss() -> torch.Tensor:
         optimiser.zero_grad()
         scores = torch.nn.functional.embedding_bag(flat, weights, offsets, mode="sum")
-        value = torch.nn.functional.cross_entropy(scores, labels, reduction="sum") + penalty / 2 * weights.square().sum()
+        value = (shares * torch.nn.functional.cross_entropy(scores, labels, reduction="none")).sum() + penalty / 2 * weights.square().sum()
         value.backward()
         return value
 

@@ -26,11 +26,11 @@ def span_features(words: Words, first: int, last: int, anchor: int) -> list[str]
     size = min(last - first + 1, 5)
     names = [
         "bias",
-        f"a:{lemma}",
+        f"*a:{lemma}",
         f"f:{text[first]}",
-        f"l:{text[last]}",
-        f"fi:{text[first]} {inner}",
-        f"i:{inner}",
+        f"*l:{text[last]}",
+        f"*fi:{text[first]} {inner}",
+        f"*i:{inner}",
         f"d:{words.dep[anchor]}",
         f"p:{pos[first]} {pos[anchor]} {pos[last]}",
         f"n:{size}",
@@ -41,7 +41,7 @@ def span_features(words: Words, first: int, last: int, anchor: int) -> list[str]
         f"k:{_completeness(words, first, last, anchor)} {pos[anchor]}",
     ]
     if size <= _LONGEST_TEXT:
-        names.append("t:" + " ".join(text[first : last + 1]))
+        names.append("*t:" + " ".join(text[first : last + 1]))
     return names
 
 
@@ -61,7 +61,13 @@ def _completeness(words: Words, first: int, last: int, anchor: int) -> str:
 
 
 def pair_features(
-    words: Words, verb: int, span: tuple[int, int, int], rules: Mapping[Span, str], heads: Sequence[int], voice: str
+    words: Words,
+    verb: int,
+    span: tuple[int, int, int],
+    rules: Mapping[Span, str],
+    others: Mapping[Span, str],
+    heads: Sequence[int],
+    voice: str,
 ) -> list[str]:
     """Of a span as an argument of the verb at a place.
 
@@ -70,6 +76,7 @@ def pair_features(
         verb: the action's word.
         span: first and last word, and its head.
         rules: what the rules take for arguments of the verb.
+        others: what the rules take for arguments of other verbs.
         heads: words of all actions.
         voice: "act" or "pass".
     """
@@ -86,16 +93,20 @@ def pair_features(
         f"r:{rule}",
         f"r:{rule} {words.pos[anchor]}",
         f"r:{rule} {words.text[first]}",
-        f"r:{rule} {lemma}",
+        f"*r:{rule} {lemma}",
+        f"q:{rule} {others.get((first, last), '')}",
+        f"q:{side} {between} {others.get((first, last), '')}",
         f"s:{side} {way}",
         f"s:{side} {way} {words.pos[first]}",
         f"s:{side} {between} {within}",
+        f"s:{side} {between} {words.text[first]}",
+        f"x:{side} {last + 1 in heads} {words.text[first]}",
         f"s:{side} {distance} {words.pos[anchor]}",
-        f"v:{lemma} {side}",
-        f"v:{lemma} {way}",
-        f"v:{lemma} {words.text[first]}",
-        f"v:{lemma} {inner}",
-        f"v:{lemma} {words.text[first]} {inner}",
+        f"*v:{lemma} {side}",
+        f"*v:{lemma} {way}",
+        f"*v:{lemma} {words.text[first]}",
+        f"*v:{lemma} {inner}",
+        f"*v:{lemma} {words.text[first]} {inner}",
         f"g:{group} {voice} {side} {words.dep[anchor]}",
         f"g:{group} {words.text[first]}",
         f"o:{voice} {side} {way}",

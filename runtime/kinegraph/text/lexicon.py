@@ -10,6 +10,12 @@ UNACCUSATIVE: Final = frozenset(
 )
 """Verbs whose subject undergoes the motion: it is ARG1 (PropBank), unless they take an object."""
 
+TRANSITIVE: Final = frozenset(
+    "raise lower lift bend stretch open close push pull move swing wave cross hold shake clap rub touch grab pick drop"
+    " throw catch kick".split()
+)
+"""Verbs that share the object of a verb they are coordinated with ("raises and lowers the hand")."""
+
 STATIVE: Final = frozenset("look seem appear feel be remain become sound".split())
 
 TRAVEL: Final = frozenset("go come return get rise climb descend".split())

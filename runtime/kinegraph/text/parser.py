@@ -37,7 +37,9 @@ class GraphParser:
         frames = skeleton(analysis)
         if self._ranker is not None:
             for found, options in zip(frames, frame_candidates(analysis, frames), strict=True):
-                found.arguments = with_certain(self._ranker.choose(options), found)
+                choice = self._ranker.choose(options)
+                found.arguments = with_certain(choice.taken, found)
+                found.others = choice.ranked
         cover(analysis.parsed, frames)
         return assembled(caption, analysis.written, frames)
 
@@ -119,8 +121,22 @@ def cover(doc: Any, frames: list[Frame]) -> None:
     loose = [token.i for token in doc if token.i not in held and token.pos_ in CONTENT and _counts(token)]
     for span in _runs(loose):
         kept = trimmed(doc, span)
-        if kept is not None:
-            _nearest(doc[kept[0]], frames).add("ARGM-MNR" if doc[kept[0]].pos_ in ("ADJ", "ADV") else "OTHERS", kept)
+        if kept is None:
+            continue
+        nearest = _nearest(doc[kept[0]], frames)
+        if nearest.others is None:
+            nearest.add("ARGM-MNR" if doc[kept[0]].pos_ in ("ADJ", "ADV") else "OTHERS", kept)
+        elif any(doc[place].pos_ not in ("ADP", "PART") for place in range(kept[0], kept[1] + 1)):
+            nearest.add(*_likeliest(kept, nearest, held))
+            held.update(range(kept[0], kept[1] + 1))
+
+
+def _likeliest(span: Span, found: Frame, held: set[int]) -> tuple[str, Span]:
+    """The likeliest span around some words that no node holds; they themselves if there is none."""
+    for role, (first, last) in found.others or ():
+        if first <= span[0] and span[1] <= last and held.isdisjoint(range(first, last + 1)):
+            return role, (first, last)
+    return "OTHERS", span
 
 
 def _counts(token: Any) -> bool:

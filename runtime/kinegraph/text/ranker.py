@@ -31,6 +31,15 @@ class Candidates:
     features: list[list[str]]
 
 
+@dataclass(frozen=True)
+class Choice:
+    """What the model makes of one action's spans."""
+
+    taken: list[tuple[str, Span]]
+    ranked: list[tuple[str, Span]]
+    """All of them with the role each would have, the likeliest first."""
+
+
 def candidates(
     words: Words, verbs: Sequence[int], rules: Sequence[Mapping[Span, str]], voices: Sequence[str]
 ) -> list[Candidates]:
@@ -55,7 +64,8 @@ def candidates(
             for span, names in zip(spans, alone, strict=True)
             if not span[0] <= verb <= span[1] and words.sentence[span[0]] == words.sentence[verb]
         ]
-        features = [names + pair_features(words, verb, span, found, verbs, voice) for span, names in own]
+        others = {span: role for other in rules if other is not found for span, role in other.items()}
+        features = [names + pair_features(words, verb, span, found, others, verbs, voice) for span, names in own]
         made.append(Candidates([span for span, _ in own], features))
     return made
 
@@ -103,15 +113,18 @@ class ArgumentRanker:
         np.add.at(scores, owner, self._weights[flat])
         return scores
 
-    def choose(self, found: Candidates) -> list[tuple[str, Span]]:
+    def choose(self, found: Candidates) -> Choice:
         """The arguments: the set of spans without overlap whose log-odds against being none add up to most."""
         if not found.spans:
-            return []
+            return Choice([], [])
         scores = self.scores(found.features)
-        best = scores[:, 1:].argmax(axis=1)
-        gains = scores[np.arange(len(best)), best + 1] - scores[:, 0]
+        roles = scores[:, 1:].argmax(axis=1)
+        # against all roles together: one that is torn between two of them is an argument all the same
+        gains = np.logaddexp.reduce(scores[:, 1:], axis=1) - scores[:, 0]
+        named = [(ARGUMENT_ROLES[role], span[:2]) for role, span in zip(roles, found.spans, strict=True)]
         chosen = heaviest(found.spans, gains.tolist())
-        return [(ARGUMENT_ROLES[best[place]], found.spans[place][:2]) for place in chosen]
+        order = np.argsort(-gains, kind="stable")
+        return Choice([named[place] for place in chosen], [named[place] for place in order])
 
 
 def heaviest(spans: Sequence[tuple[int, ...]], gains: Sequence[float]) -> list[int]:

@@ -58,11 +58,13 @@ def read(words: Sequence[str], known: Callable[[str], bool], verbs_at: Collectio
         if verbs[place]:
             stand_ins[place] = "takes" if following in _DETERMINERS and following not in _SIDES_OF else "goes"
             lemmas[place] = lexicon.FINITE_VERBS[word]
-        elif word in ("counter", "anti") and following == "clockwise":
+        elif word in ("counter", "anti") and following == "clockwise" and _ends_phrase(lower, place + 2):
             stand_ins[place] = "very"
+        elif word == "°":
+            stand_ins[place] = "degree"
         elif word in lexicon.EVENT_NOUNS and place and lower[place - 1] in _NOUN_MARKERS:
             stand_ins[place], lemmas[place] = "movement", word
-        elif word in lexicon.ROTATIONS and (not following or following in _SIDE_FOLLOWERS or not following.isalpha()):
+        elif word in lexicon.ROTATIONS and _ends_phrase(lower, place + 1):
             stand_ins[place] = "slowly"
         elif word in lexicon.PERSON_NOUNS and following not in lexicon.BODY_NOUNS:
             stand_ins[place] = "person"
@@ -101,9 +103,13 @@ def _opens_predicate(lower: Sequence[str], found: Sequence[bool], place: int) ->
 
 def _is_direction(lower: Sequence[str], place: int) -> bool:
     before = lower[place - 1] if place else ""
-    following = lower[place + 1] if place + 1 < len(lower) else ""
-    ends = not following or following in _SIDE_FOLLOWERS or not following[0].isalpha() or following.endswith("ly")
-    return ends and bool(before) and before.isalpha() and before not in _DETERMINERS
+    return before.isalpha() and before not in _DETERMINERS and _ends_phrase(lower, place + 1)
+
+
+def _ends_phrase(lower: Sequence[str], place: int) -> bool:
+    """Whether the word at a place is no noun that an adjective before it could belong to."""
+    following = lower[place] if place < len(lower) else ""
+    return not following.isalpha() or following in _SIDE_FOLLOWERS or following.endswith("ly")
 
 
 def mend(word: str, known: Callable[[str], bool]) -> str:

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from itertools import pairwise
 from typing import Any
 
 from kinegraph.text import lexicon as words
@@ -27,6 +28,8 @@ class Frame:
 
     head: Token
     arguments: list[tuple[str, Span]] = field(default_factory=list)
+    others: list[tuple[str, Span]] | None = None
+    """What else could be one, the likeliest first; None without a model that could tell."""
 
     def add(self, role: str, span: Span | None) -> None:
         """Take an argument unless the same words are there already."""
@@ -41,6 +44,8 @@ def is_action(token: Token) -> bool:
     if token.lower_ == "left" and token.i > token.head.i:  # "turns left 90 degrees", taken for "to leave"
         return False
     if token.lemma_.lower() == "get" and token.dep_ == "auxpass":  # "gets pushed": PropBank's own verb
+        return True
+    if token.dep_ == "amod" and token.tag_ == "VBG" and token.head.lower_ in words.SUBJECT_NOUNS:  # "a kneeling person"
         return True
     if token.pos_ == "VERB":
         return token.dep_ not in ("aux", "auxpass", "amod", "case", "compound", "prep")
@@ -98,14 +103,38 @@ def frame(head: Token) -> Frame:
         found.add("ARG1", subject_span(head.head))
         found.add("ARG2", trimmed(head.doc, (head.head.i, _own_end(head.head))))
         return found
+    if head.dep_ == "amod":
+        found.add("ARG0", (head.head.i, head.head.i))
     subject = subject_span(head)
     has_object = any(child.dep_ == "dobj" for child in head.children)
     if subject is not None:
         found.add(subject_role(head, has_object), subject)
+    objects = [child for child in head.children if child.dep_ == "dobj"]
     for child in head.children:
         for role, span in _argument(child, head):
-            found.add(role, span)
+            found.add(role, _listed(objects) if child in objects else span)
+    if not has_object:
+        found.add("ARG1", _shared_object(head))
     return found
+
+
+def _listed(objects: list[Token]) -> Span | None:
+    """The object, or several as one where nothing but commas parts them ("the knees, the hips and the elbows")."""
+    spans = [span for span in map(phrase, objects) if span is not None]
+    for (_, end), (start, _) in pairwise(spans):
+        if objects[0].doc[end + 1].text not in (",", "and") or start != end + 2:
+            return phrase(objects[-1])
+    return (spans[0][0], spans[-1][1]) if spans else None
+
+
+def _shared_object(head: Token) -> Span | None:
+    """ "raises and lowers the hand": the object of the verb that follows at once."""
+    if head.lemma_.lower() not in words.TRANSITIVE:
+        return None
+    for child in head.rights:
+        if child.dep_ == "conj" and child.i == head.i + 2 and head.nbor().dep_ == "cc":
+            return next((phrase(below) for below in child.children if below.dep_ == "dobj"), None)
+    return None
 
 
 def _own_end(head: Token) -> int:

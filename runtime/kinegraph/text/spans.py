@@ -82,13 +82,19 @@ def phrases(words: Words) -> list[tuple[int, int, int]]:
 def _join_neighbours(words: Words, found: dict[Span, int]) -> None:
     """ "makes a step | to the left": the parse may have hung on the verb what belongs to the noun."""
     ends: dict[int, int] = {}
+    nouns: list[tuple[int, int, int]] = []
     for first, last in found:
         behind = words.pos[first] == "ADP" and last > first
         if behind or (words.pos[first] == "ADV" and last == first):
             ends[first] = min(last, ends.get(first, last))
+        if words.pos[first] in ("DET", "NUM", "NOUN", "PRON") and words.pos[found[first, last]] == "NOUN" and first:
+            if last == found[first, last] and words.pos[first - 1] == "ADP":  # "up | a slope"
+                nouns.append((first - 1, last, first - 1))
     for (first, last), anchor in list(found.items()):
         if words.pos[anchor] in ("NOUN", "PROPN") and last == anchor and last + 1 in ends:
             found.setdefault((first, ends[last + 1]), anchor)
+    for first, last, anchor in nouns:
+        found.setdefault((first, last), anchor)
 
 
 def _spans_at(words: Words, children: list[list[int]], anchor: int) -> list[Span]:
