@@ -30,16 +30,22 @@ PENALTY = 1.0
 ITERATIONS = 150
 UNKNOWN_SHARE = 0.3
 """Every example counts this much once more without features of content words: the next caption has other words."""
+RULE_SHARE = 0.1
+"""What an example counts whose label comes from the rules."""
 RARE = 2
 """Features seen less often are left out."""
 
 
 @dataclass(frozen=True)
 class Examples:
-    """Spans with the names of their features and their class (0: no argument)."""
+    """Spans with the names of their features, their class (0: no argument) and how much they count."""
 
     features: list[list[str]]
     labels: list[int]
+    shares: list[float]
+
+    def __add__(self, other: Examples) -> Examples:
+        return Examples(self.features + other.features, self.labels + other.labels, self.shares + other.shares)
 
 
 def read_gold(path: Path) -> list[dict[str, Any]]:
@@ -62,7 +68,7 @@ def words_of(caption: str, start: int, end: int) -> frozenset[int]:
 
 def examples(parser: GraphParser, graphs: Iterable[dict[str, Any]]) -> Examples:
     """Every candidate span of every action that gold and rules share; gold actions without arguments say nothing."""
-    made = Examples([], [])
+    made = Examples([], [], [])
     for graph in graphs:
         caption = graph["caption"]
         analysis = parser.analyse(caption)
@@ -74,10 +80,30 @@ def examples(parser: GraphParser, graphs: Iterable[dict[str, Any]]) -> Examples:
             if arguments is None:
                 continue
             wanted = {words_of(caption, a["start"], a["end"]): _class(a["role"]) for a in arguments}
-            for (first, last, _), names in zip(options.spans, options.features, strict=True):
-                made.features.append(names)
-                made.labels.append(wanted.get(words_of(caption, characters[first][0], characters[last][1]), 0))
+            spans = [words_of(caption, characters[first][0], characters[last][1]) for first, last, _ in options.spans]
+            labels = [wanted.get(span, 0) for span in spans]
+            _append(made, options.features, labels, 1.0)
+            _append(made, [[name for name in row if name[0] != "*"] for row in options.features], labels, UNKNOWN_SHARE)
     return made
+
+
+def rule_examples(parser: GraphParser, captions: Iterable[str]) -> Examples:
+    """Captions that nobody annotated, as the rules have them: what keeps the model to the rules where gold is silent."""
+    made = Examples([], [], [])
+    for caption in captions:
+        analysis = parser.analyse(caption)
+        frames = skeleton(analysis)
+        for found, options in zip(frames, frame_candidates(analysis, frames), strict=True):
+            wanted = {span: _class(role) for role, span in found.arguments}
+            labels = [wanted.get((first, last), 0) for first, last, _ in options.spans]
+            _append(made, options.features, labels, RULE_SHARE)
+    return made
+
+
+def _append(made: Examples, features: list[list[str]], labels: list[int], share: float) -> None:
+    made.features.extend(features)
+    made.labels.extend(labels)
+    made.shares.extend([share] * len(labels))
 
 
 def _class(role: str) -> int:
@@ -90,11 +116,9 @@ def fit(found: Examples, penalty: float = PENALTY) -> tuple[list[str], np.ndarra
     names = sorted(name for name, count in counts.items() if count >= RARE)
     index = {name: place for place, name in enumerate(names)}
     rows = [[index[name] for name in row if name in index] for row in found.features]
-    rows += [[index[name] for name in row if name in index and name[0] != "*"] for row in found.features]
     flat = torch.tensor([place for row in rows for place in row])
     offsets = torch.tensor(np.cumsum([0] + [len(row) for row in rows])[:-1])
-    labels = torch.tensor(found.labels * 2)
-    shares = torch.tensor([1.0] * len(found.labels) + [UNKNOWN_SHARE] * len(found.labels))
+    labels, shares = torch.tensor(found.labels), torch.tensor(found.shares)
     weights = torch.zeros((len(names), CLASSES), requires_grad=True)
     optimiser = torch.optim.LBFGS([weights], max_iter=ITERATIONS, history_size=20, line_search_fn="strong_wolfe")
 

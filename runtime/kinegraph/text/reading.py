@@ -60,6 +60,8 @@ def read(words: Sequence[str], known: Callable[[str], bool], verbs_at: Collectio
             lemmas[place] = lexicon.FINITE_VERBS[word]
         elif word in ("counter", "anti") and following == "clockwise" and _ends_phrase(lower, place + 2):
             stand_ins[place] = "very"
+        elif word == "that" and place and lower[place - 1] == "after" and _verb_at(verbs, place + 1):
+            stand_ins[place - 1 : place + 1] = ["very", "soon"]
         elif word == "°":
             stand_ins[place] = "degree"
         elif word in lexicon.EVENT_NOUNS and place and lower[place - 1] in _NOUN_MARKERS:
