@@ -19,8 +19,8 @@ FORMAT_VERSION: Final = 2
 
 GRAPH_FILES: Final[tuple[str, ...]] = tuple(f"{graph}.onnx" for graph in GRAPHS)
 REQUIRED_FILES: Final[frozenset[str]] = frozenset((*GRAPH_FILES, "tokenizer.json", "tables.npz"))
-OPTIONAL_FILES: Final[frozenset[str]] = frozenset(("parser.bin",))
-"""Without the parser a bundle takes graphs, but no plain sentences."""
+OPTIONAL_FILES: Final[frozenset[str]] = frozenset(("parser.bin", "arguments.npz"))
+"""Without the parser a bundle takes graphs, but no plain sentences; without arguments.npz its parser goes by rules."""
 
 MAX_DIMS: Final[Mapping[str, int]] = {
     "tokens": 256,

@@ -77,7 +77,7 @@ class MotionPipeline:
         bundle = read_bundle(None if path is None else Path(path))
         sessions = open_sessions(bundle, threads=threads, options=session_options)
         tokenizer = CaptionTokenizer(bundle.files["tokenizer.json"])
-        return cls(bundle.manifest, sessions, tokenizer, bundle.tables, LazyParser(bundle.files.get("parser.bin")))
+        return cls(bundle.manifest, sessions, tokenizer, bundle.tables, LazyParser.of(bundle.files))
 
     def parse(self, text: str) -> SemanticGraph:
         """The semantic graph of a sentence: look at it, edit it, hand it back to `generate`.

@@ -1,7 +1,8 @@
 """What the linear model of arguments sees of an action and a span: names of features, as plain words.
 
-Gildea and Jurafsky, *Automatic Labeling of Semantic Roles*, Computational Linguistics 2002, name most of them: head word,
-phrase type, path in the parse, position, voice; the preposition and its object as in Xue and Palmer, EMNLP 2004.
+Gildea and Jurafsky, *Automatic Labeling of Semantic Roles*, Computational Linguistics 2002, name most of them: head
+word, phrase type, path in the parse, position, voice; the preposition and its object as in Xue and Palmer, EMNLP 2004.
+Names of features that hold a word of content begin with an asterisk: training also shows every example without them.
 """
 
 from __future__ import annotations

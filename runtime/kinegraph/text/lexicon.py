@@ -19,6 +19,10 @@ TRANSITIVE: Final = frozenset(
 STATIVE: Final = frozenset("look seem appear feel be remain become sound".split())
 
 TRAVEL: Final = frozenset("go come return get rise climb descend".split())
+TRAVEL_ON: Final = frozenset(
+    "walk run go climb jog step move jump hop come crawl march stroll sneak slide sprint".split()
+)
+"""Verbs that go "up a slope" or "down the stairs", where others lift something up."""
 TRANSFER: Final = frozenset(
     "put place pick take give wipe hold lean kick throw stretch tie tap hand bring push shove".split()
 )
@@ -73,17 +77,18 @@ EVENT_NOUNS: Final = frozenset(
 """Nouns that name a motion, and verbs that taggers take for nouns in short captions."""
 
 VERBS: Final = EVENT_NOUNS - frozenset("greeting movement motion rotation".split()) | frozenset(
-    "raise lower pick put carry hold take make do perform go come crouch duck dive drop flap flex gallop glide grab hang"
-    " hit hug hurry land lie look move open close paddle pass pat play pretend pull rest rise return rub rush sneak"
-    " scratch sidestep sink slap slip slow smash squeeze stagger stalk stomp straighten strike stroke strut sway sweep"
+    "raise lower pick put carry hold take make do perform go come crouch duck dive drop flap flex gallop glide grab"
+    " hang hit hug hurry land lie look move open close paddle pass pat play pretend pull rest rise return rub rush"
+    " sneak scratch sidestep sink slap slip slow smash squeeze stagger stalk stomp straighten strike stroke strut sway sweep"
     " tilt touch toss tread trip trudge twist unfold use wander wiggle wipe wobble wriggle yawn zigzag begin continue"
-    " keep cross dodge draw drag drink eat evade gallop gesture grasp guide juggle lie march mimic mince mope pivot play"
-    " press reach recover rotate scoot show skate ski sling snap splash spread squat stir stoop stroll struggle stumble"
-    " swim swing take tap wave weave fold nod clasp circle walk flail gather greet hail hobble inch lurch mime pant"
+    " keep cross dodge draw drag drink eat evade gallop gesture grasp guide juggle lie march mimic mince mope pivot"
+    " play press reach recover rotate scoot show skate ski sling snap splash spread squat stir stoop stroll struggle"
+    " stumble swim swing take tap wave weave fold nod clasp circle walk flail gather greet hail hobble inch lurch mime pant"
     " plod pose prance relax retreat saunter slump tiptoe traipse tumble waddle whirl wince leave lead try drive swipe"
     " flinch fling bounce brush box fight shadowbox hula sit sprint catch wade compensate".split()
 )
 """Verbs of motion, base forms."""
+
 
 def _third_person(verb: str) -> str:
     if verb.endswith(("s", "sh", "ch", "x", "z", "o")):

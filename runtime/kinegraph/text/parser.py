@@ -1,11 +1,18 @@
-"""Captions to semantic graphs: spaCy's dependency parse, then rules (`kinegraph.text.rules`)."""
+"""Captions to semantic graphs.
+
+The dependency parse (`analysis`) gives the actions and, by rules (`rules`), a first guess of their arguments; a linear
+model ranks and types all phrases around an action (`spans`, `features`, `ranker`). Without its weights the rules stand
+alone.
+"""
 
 from __future__ import annotations
 
 import threading
-from typing import Any, Final
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
 
-from kinegraph.errors import BundleError, BundleFormatError, InvalidInputError, MissingExtraError
+from kinegraph.errors import BundleError, InvalidInputError
 from kinegraph.graph import Action, Argument, SemanticGraph
 from kinegraph.limits import MAX_NODES, MAX_TEXT
 from kinegraph.text import lexicon
@@ -14,12 +21,17 @@ from kinegraph.text.ranker import ArgumentRanker, Candidates, candidates
 from kinegraph.text.rules import CONTENT, Frame, Span, frame, is_action, is_certain, is_passive, trimmed
 from kinegraph.text.tokens import check_unicode
 
+
 class GraphParser:
     """Sentence to graph; deterministic, safe to share between threads.
 
+    Args:
+        pipeline_bytes: content of parser.bin.
+        argument_weights: content of arguments.npz; None: rules alone.
+
     Raises:
         MissingExtraError: spaCy is not installed.
-        BundleFormatError: the bytes are no pipeline.
+        BundleFormatError: the bytes are no pipeline, or no weights.
     """
 
     def __init__(self, pipeline_bytes: bytes, argument_weights: bytes | None = None) -> None:
@@ -48,20 +60,36 @@ class GraphParser:
         return self._analyser(clean(caption))
 
 
+def read_parser(folder: Path) -> GraphParser:
+    """The parser of a folder of assets or of a bundle that is trusted: nothing is hashed.
+
+    Raises:
+        OSError: there is no parser.bin.
+        MissingExtraError, BundleFormatError: see `GraphParser`.
+    """
+    weights = folder / "arguments.npz"
+    return GraphParser((folder / "parser.bin").read_bytes(), weights.read_bytes() if weights.is_file() else None)
+
+
 class LazyParser:
     """Makes the parser when the first sentence comes: whoever brings graphs never pays for spaCy."""
 
-    def __init__(self, data: bytes | None) -> None:
-        self._data = data
+    def __init__(self, pipeline_bytes: bytes | None, argument_weights: bytes | None = None) -> None:
+        self._data = None if pipeline_bytes is None else (pipeline_bytes, argument_weights)
         self._lock = threading.Lock()
         self._parser: GraphParser | None = None
+
+    @staticmethod
+    def of(files: Mapping[str, bytes]) -> LazyParser:
+        """From the files of a bundle by name."""
+        return LazyParser(files.get("parser.bin"), files.get("arguments.npz"))
 
     def __call__(self) -> GraphParser:
         with self._lock:
             if self._parser is None:
                 if self._data is None:
                     raise BundleError("this bundle carries no parser; pass a SemanticGraph instead of a sentence")
-                self._parser = GraphParser(self._data)
+                self._parser = GraphParser(*self._data)
                 self._data = None
             return self._parser
 
@@ -99,8 +127,9 @@ def frame_candidates(analysis: Analysis, frames: list[Frame]) -> list[Candidates
 def with_certain(chosen: list[tuple[str, Span]], found: Frame) -> list[tuple[str, Span]]:
     """What the rules are sure of, negation and agents, in place of any choice that overlaps it."""
     certain = [(role, span) for role, span in found.arguments if is_certain(found.head, span)]
-    free = [(role, span) for role, span in chosen
-            if all(span[1] < first or last < span[0] for _, (first, last) in certain)]
+    free = [
+        (role, span) for role, span in chosen if all(span[1] < first or last < span[0] for _, (first, last) in certain)
+    ]
     return sorted(certain + free, key=lambda item: item[1])
 
 

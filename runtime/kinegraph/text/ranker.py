@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import io
 import zipfile
+import zlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -78,23 +79,40 @@ def _top(words: Words, first: int, last: int) -> int:
     return last
 
 
+def _arrays(data: bytes) -> dict[str, NDArray[Any]]:
+    try:
+        with np.load(io.BytesIO(data), allow_pickle=False) as stored:
+            arrays = {name: stored[name] for name in ("names", "weights", "provenance")}
+    except (
+        OSError,
+        ValueError,
+        KeyError,
+        EOFError,
+        TypeError,
+        AttributeError,
+        zipfile.BadZipFile,
+        zlib.error,
+    ) as error:
+        raise BundleFormatError(f"arguments.npz does not hold the weights of arguments: {error}") from error
+    if arrays["names"].dtype != np.uint8 or arrays["weights"].dtype != np.float16:
+        raise BundleFormatError("arguments.npz must hold names as bytes and weights as float16")
+    return arrays
+
+
 class ArgumentRanker:
     """Multinomial logistic regression over named features.
 
     Args:
-        data: an `.npz` with `names`, n lines of UTF-8 as bytes, and `weights` (n, CLASSES).
+        data: an `.npz` with `names`, n lines of UTF-8 as bytes, and `weights` (n, CLASSES) float16.
 
     Raises:
         BundleFormatError: the bytes are no such file.
     """
 
     def __init__(self, data: bytes) -> None:
-        try:
-            with np.load(io.BytesIO(data), allow_pickle=False) as stored:
-                names = stored["names"].tobytes().decode("utf-8").splitlines()
-                weights = stored["weights"].astype(np.float32)
-        except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
-            raise BundleFormatError(f"arguments.npz does not hold the parser's weights: {error}") from error
+        stored = _arrays(data)
+        names = stored["names"].tobytes().decode("utf-8", errors="replace").split("\n")
+        weights = stored["weights"].astype(np.float32)
         if weights.shape != (len(names), CLASSES):
             raise BundleFormatError(
                 f"arguments.npz holds {len(names)} names and weights {weights.shape}, not ({len(names)}, {CLASSES})"
@@ -158,9 +176,19 @@ def heaviest(spans: Sequence[tuple[int, ...]], gains: Sequence[float]) -> list[i
     return sorted(chosen, key=lambda place: spans[place][0])
 
 
-def packed(names: Sequence[str], weights: FloatArray) -> bytes:
-    """The content of `arguments.npz`; the same input gives the same bytes."""
+def packed(names: Sequence[str], weights: FloatArray, provenance: str) -> bytes:
+    """The content of `arguments.npz`; the same input gives the same bytes. `provenance` says what it was trained on."""
     buffer = io.BytesIO()
     lines = np.frombuffer("\n".join(names).encode("utf-8"), dtype=np.uint8)
-    np.savez_compressed(buffer, names=lines, weights=weights.astype(np.float16))
+    source = np.frombuffer(provenance.encode("utf-8"), dtype=np.uint8)
+    np.savez_compressed(buffer, names=lines, weights=weights.astype(np.float16), provenance=source)
     return buffer.getvalue()
+
+
+def provenance_of(data: bytes) -> str:
+    """What the weights in an `arguments.npz` were trained on.
+
+    Raises:
+        BundleFormatError: the bytes are no such file.
+    """
+    return _arrays(data)["provenance"].tobytes().decode("utf-8")

@@ -1,7 +1,7 @@
 """What the dependency parser reads in place of a caption's words: slips mended, mistaken words replaced.
 
-The small spaCy model takes "waves" after "and", and "human" before a verb, for other parts of speech. It reads a word of
-the same form that it knows ("goes", "person") instead; the tokens, and with them all offsets, stay those of the caption.
+The small spaCy model takes "waves" after "and", and "human" before a verb, for other parts of speech. It reads a word
+of the same form that it knows ("goes", "person") instead; the tokens, and so all offsets, stay those of the caption.
 """
 
 from __future__ import annotations
@@ -19,13 +19,15 @@ _DETERMINERS = frozenset(
     "a an the this that these those his her its their my your our some any no each every both another one two three"
     " four five six seven eight nine ten several few many more most of with without for by in on to from".split()
 )
-_SUPPORT = frozenset(
-    "do does doing did make makes making made take takes taking took perform performs performing performed execute"
-    " executes executing give gives giving throw throws throwing have has having get gets".split()
-)
 _OPENERS = frozenset("and or but then who which that he she it they also".split())
 _NOUN_MARKERS = frozenset("a an degree degrees °".split())
-_SIDE_FOLLOWERS = frozenset("and or but then while when before after by for at with in around again until".split())
+_NOUN_ADJECTIVES = frozenset(
+    "quarter half full left right sharp slight small little big quick slow deep single".split()
+)
+_SIDE_FOLLOWERS = frozenset(
+    "and or but then while when before after by for at with in around again until over along through on during"
+    " from".split()
+)
 
 
 @dataclass(frozen=True)
@@ -56,7 +58,7 @@ def read(words: Sequence[str], known: Callable[[str], bool], verbs_at: Collectio
     for place, word in enumerate(lower):
         following = lower[place + 1] if place + 1 < len(lower) else ""
         if verbs[place]:
-            stand_ins[place] = "takes" if following in _DETERMINERS and following not in _SIDES_OF else "goes"
+            stand_ins[place] = "goes" if _is_intransitive(following) else "takes"
             lemmas[place] = lexicon.FINITE_VERBS[word]
         elif word in ("counter", "anti") and following == "clockwise" and _ends_phrase(lower, place + 2):
             stand_ins[place] = "very"
@@ -64,7 +66,7 @@ def read(words: Sequence[str], known: Callable[[str], bool], verbs_at: Collectio
             stand_ins[place - 1 : place + 1] = ["very", "soon"]
         elif word == "°":
             stand_ins[place] = "degree"
-        elif word in lexicon.EVENT_NOUNS and place and lower[place - 1] in _NOUN_MARKERS:
+        elif word in lexicon.EVENT_NOUNS and _is_noun(lower, place):
             stand_ins[place], lemmas[place] = "movement", word
         elif word in lexicon.ROTATIONS and _ends_phrase(lower, place + 1):
             stand_ins[place] = "slowly"
@@ -77,7 +79,22 @@ def read(words: Sequence[str], known: Callable[[str], bool], verbs_at: Collectio
     return Reading(mended, tuple(stand_ins), tuple(lemmas))
 
 
-_SIDES_OF = frozenset("of with without for by in on to from that".split())
+_FOLLOWS_INTRANSITIVE = (
+    _SIDE_FOLLOWERS
+    | lexicon.DIRECTION_ADVERBS
+    | lexicon.DIRECTION_PREPOSITIONS
+    | lexicon.PLACE_PREPOSITIONS
+    | lexicon.TIME_PREPOSITIONS
+    | lexicon.MANNER_PREPOSITIONS
+    | lexicon.TIME_ADVERBS
+    | lexicon.MANNER_ADVERBS
+    | frozenset("of not that who which as very really almost about".split())
+)
+
+
+def _is_intransitive(following: str) -> bool:
+    """Whether a verb before this word has no object, as far as one word can tell."""
+    return not following.isalpha() or following in _FOLLOWS_INTRANSITIVE or following.endswith("ly")
 
 
 def _verb_at(verbs: Sequence[bool], place: int) -> bool:
@@ -101,6 +118,14 @@ def _opens_predicate(lower: Sequence[str], found: Sequence[bool], place: int) ->
     if before in lexicon.SUBJECT_NOUNS or before in _OPENERS:
         return True
     return before.endswith("ly") or before in ("again", "never")
+
+
+def _is_noun(lower: Sequence[str], place: int) -> bool:
+    """Behind an article or a measure, an adjective of captions between them allowed ("a quarter turn")."""
+    before = lower[max(place - 2, 0) : place]
+    return bool(before) and (
+        before[-1] in _NOUN_MARKERS or (before[0] in ("a", "an", "one", "two") and before[-1] in _NOUN_ADJECTIVES)
+    )
 
 
 def _is_direction(lower: Sequence[str], place: int) -> bool:

@@ -6,12 +6,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Final
 
+from kinegraph.text import lexicon
+
 Span = tuple[int, int]
 """First and last word, both included."""
 
 _ANCHORS: Final = frozenset("NOUN PROPN PRON ADP ADV VERB ADJ NUM SCONJ PART AUX X INTJ".split())
 _NEVER: Final = frozenset("det punct cc aux auxpass case preconj".split())
-_CLAUSES: Final = frozenset("relcl acl advcl ccomp parataxis".split())
 
 
 @dataclass(frozen=True)
@@ -88,7 +89,8 @@ def _join_neighbours(words: Words, found: dict[Span, int]) -> None:
         if behind or (words.pos[first] == "ADV" and last == first):
             ends[first] = min(last, ends.get(first, last))
         if words.pos[first] in ("DET", "NUM", "NOUN", "PRON") and words.pos[found[first, last]] == "NOUN" and first:
-            if last == found[first, last] and words.pos[first - 1] == "ADP":  # "up | a slope"
+            climbed = words.lemma[words.head[first - 1]] in lexicon.TRAVEL_ON
+            if climbed and last == found[first, last] and words.pos[first - 1] == "ADP":  # "walks up | a slope"
                 nouns.append((first - 1, last, first - 1))
     for (first, last), anchor in list(found.items()):
         if words.pos[anchor] in ("NOUN", "PROPN") and last == anchor and last + 1 in ends:
