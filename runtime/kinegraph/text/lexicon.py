@@ -76,16 +76,22 @@ EVENT_NOUNS: Final = frozenset(
 )
 """Nouns that name a motion, and verbs that taggers take for nouns in short captions."""
 
+GET: Final = frozenset("get gets getting got".split())
+
+NEVER_VERBS: Final = (DIRECTION_ADVERBS - frozenset(("left",))) | frozenset(("circle", "reverse", "clockwise"))
+"""Words that the tagger takes for verbs now and then, in forms that captions use for nouns and adverbs."""
+
 VERBS: Final = EVENT_NOUNS - frozenset("greeting movement motion rotation".split()) | frozenset(
-    "raise lower pick put carry hold take make do perform go come crouch duck dive drop flap flex gallop glide grab"
-    " hang hit hug hurry land lie look move open close paddle pass pat play pretend pull rest rise return rub rush"
-    " sneak scratch sidestep sink slap slip slow smash squeeze stagger stalk stomp straighten strike stroke strut sway sweep"
-    " tilt touch toss tread trip trudge twist unfold use wander wiggle wipe wobble wriggle yawn zigzag begin continue"
-    " keep cross dodge draw drag drink eat evade gallop gesture grasp guide juggle lie march mimic mince mope pivot"
-    " play press reach recover rotate scoot show skate ski sling snap splash spread squat stir stoop stroll struggle"
-    " stumble swim swing take tap wave weave fold nod clasp circle walk flail gather greet hail hobble inch lurch mime pant"
-    " plod pose prance relax retreat saunter slump tiptoe traipse tumble waddle whirl wince leave lead try drive swipe"
-    " flinch fling bounce brush box fight shadowbox hula sit sprint catch wade compensate".split()
+    "raise lower pick put carry hold take make do perform go come crouch duck dive drop flap flex gallop glide"
+    " grab hang hit hug hurry land lie look move open close paddle pass pat play pretend pull rest rise return rub"
+    " rush sneak scratch sidestep sink slap slip slow smash squeeze stagger stalk stomp straighten strike stroke"
+    " strut sway sweep tilt touch toss tread trip trudge twist unfold use wander wiggle wipe wobble wriggle yawn"
+    " zigzag begin continue keep cross dodge draw drag drink eat evade gesture grasp guide juggle march mimic"
+    " mince mope pivot press reach recover rotate scoot show skate ski sling snap splash spread squat stir stoop"
+    " stroll struggle stumble swim swing tap wave weave fold nod clasp circle walk flail gather greet hail hobble"
+    " inch lurch mime pant plod pose prance relax retreat saunter slump tiptoe traipse tumble waddle whirl wince"
+    " leave lead try drive swipe flinch fling bounce brush box fight shadowbox hula sit sprint catch wade"
+    " compensate".split()
 )
 """Verbs of motion, base forms."""
 

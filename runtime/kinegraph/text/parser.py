@@ -17,8 +17,10 @@ from kinegraph.graph import Action, Argument, SemanticGraph
 from kinegraph.limits import MAX_NODES, MAX_TEXT
 from kinegraph.text import lexicon
 from kinegraph.text.analysis import Analyser, Analysis
+from kinegraph.text.phrases import is_action, trimmed
 from kinegraph.text.ranker import ArgumentRanker, Candidates, candidates
-from kinegraph.text.rules import CONTENT, Frame, Span, frame, is_action, is_certain, is_passive, trimmed
+from kinegraph.text.rules import CONTENT, Frame, frame, is_certain, is_passive
+from kinegraph.text.spans import Span
 from kinegraph.text.tokens import check_unicode
 
 

@@ -20,6 +20,7 @@ _DETERMINERS = frozenset(
     " four five six seven eight nine ten several few many more most of with without for by in on to from".split()
 )
 _OPENERS = frozenset("and or but then who which that he she it they also".split())
+_RELATIVE = frozenset("who which that".split())
 _NOUN_MARKERS = frozenset("a an degree degrees °".split())
 _NOUN_ADJECTIVES = frozenset(
     "quarter half full left right sharp slight small little big quick slow deep single".split()
@@ -94,7 +95,8 @@ _FOLLOWS_INTRANSITIVE = (
 
 def _is_intransitive(following: str) -> bool:
     """Whether a verb before this word has no object, as far as one word can tell."""
-    return not following.isalpha() or following in _FOLLOWS_INTRANSITIVE or following.endswith("ly")
+    ends = not following.isalpha() or following in _FOLLOWS_INTRANSITIVE or following in lexicon.FINITE_VERBS
+    return ends or following.endswith("ly")
 
 
 def _verb_at(verbs: Sequence[bool], place: int) -> bool:
@@ -116,6 +118,8 @@ def _opens_predicate(lower: Sequence[str], found: Sequence[bool], place: int) ->
         listed = lower[place - 2] if place > 1 else ""
         return not (listed in lexicon.FINITE_VERBS and not found[place - 2])
     if before in lexicon.SUBJECT_NOUNS or before in _OPENERS:
+        return True
+    if place > 1 and found[place - 1] and lower[place - 2] in _RELATIVE:  # "who bows | walks"
         return True
     return before.endswith("ly") or before in ("again", "never")
 
