@@ -152,14 +152,15 @@ def cover(doc: Any, frames: list[Frame]) -> None:
     loose = [token.i for token in doc if token.i not in held and token.pos_ in CONTENT and _counts(token)]
     for span in _runs(loose):
         kept = trimmed(doc, span)
-        if kept is None:
-            continue
+        if kept is None or not held.isdisjoint(range(kept[0], kept[1] + 1)):
+            continue  # nothing left, or held by now: a likelier span may reach over several runs
         nearest = _nearest(doc[kept[0]], frames)
         if nearest.others is None:
             nearest.add("ARGM-MNR" if doc[kept[0]].pos_ in ("ADJ", "ADV") else "OTHERS", kept)
         elif any(doc[place].pos_ not in ("ADP", "PART") for place in range(kept[0], kept[1] + 1)):
-            nearest.add(*_likeliest(kept, nearest, held))
-            held.update(range(kept[0], kept[1] + 1))
+            role, (first, last) = _likeliest(kept, nearest, held)
+            nearest.add(role, (first, last))
+            held.update(range(first, last + 1))
 
 
 def _likeliest(span: Span, found: Frame, held: set[int]) -> tuple[str, Span]:
