@@ -107,8 +107,13 @@ def _sequence(options: argparse.Namespace) -> int:
 
 def _one_by_one(make: Callable[..., Clip], wish: object, count: int, wishes: dict[str, Any]) -> list[Clip]:
     """Takes that cannot share a run; their seeds follow one another all the same."""
-    clips = [make(wish, **wishes)]
-    return clips + [make(wish, **wishes | {"seed": clips[0].seed + take}) for take in range(1, count)]
+    from kinegraph.diffusion.sampler import part_of
+
+    def take(number: int, seed: int | None) -> Clip:
+        return make(wish, **wishes | {"seed": seed, "on_step": part_of(wishes["on_step"], number, count)})
+
+    first = take(0, wishes["seed"])
+    return [first, *(take(number, first.seed + number) for number in range(1, count))]
 
 
 def _targets(options: argparse.Namespace) -> list[Path]:

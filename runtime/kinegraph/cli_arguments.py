@@ -79,7 +79,7 @@ def _add_sampling(parser: argparse.ArgumentParser) -> None:
         type=Path,
         required=True,
         metavar="FILE",
-        help="the suffix says the format: .bvh, .gif, .glb, .npz, .png",
+        help="the suffix says the format: .bvh, .gif, .glb, .json, .mp4, .npz, .png",
     )
     parser.add_argument(
         "--names", default="smpl", metavar="CONVENTION", help="joint names in .bvh and .glb: smpl (default) or mixamo"

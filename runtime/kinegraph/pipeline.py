@@ -19,7 +19,7 @@ from kinegraph.concepts import Concept, checked_concepts, checked_lambdas, joint
 from kinegraph.conditions import Conditions, GraphArrays, conditions, graph_arrays, padded, repeated
 from kinegraph.decoding import decode, finite
 from kinegraph.denoisers import Denoisers
-from kinegraph.diffusion.sampler import OnStep
+from kinegraph.diffusion.sampler import OnStep, part_of
 from kinegraph.duration import with_own_length
 from kinegraph.edits import edge_terms
 from kinegraph.errors import InvalidInputError
@@ -189,7 +189,8 @@ class MotionPipeline:
         Args:
             texts: 1 to 32 sentences or graphs; sentence k is generated with seed + k.
             seconds: of each part, before the joins: one length, one per sentence, or None for what each asks for.
-            seed, steps, guidance, foot_fix, on_step: as in `generate`.
+            seed, steps, guidance, foot_fix: as in `generate`.
+            on_step: as in `generate`; its `done` and `total` are those of all parts.
 
         Raises:
             InvalidInputError, Cancelled, NonFiniteError: as in `generate`.
@@ -200,7 +201,9 @@ class MotionPipeline:
         graphs = [text if isinstance(text, SemanticGraph) else self.parse(text) for text in texts]
         first = options[0].seed
         clips = [
-            self.generate(graph, seconds=length, seed=first + place, on_step=on_step, **wishes)
+            self.generate(
+                graph, seconds=length, seed=first + place, on_step=part_of(on_step, place, len(texts)), **wishes
+            )
             for place, (graph, length) in enumerate(zip(graphs, lengths, strict=True))
         ]
         joints = joined([clip.joints for clip in clips], self.manifest.fps)
