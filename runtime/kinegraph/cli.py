@@ -325,7 +325,7 @@ def _bench(options: argparse.Namespace) -> int:
 
 def _load(bundle: Path | None, threads: int | None, parses: bool) -> MotionPipeline:
     from kinegraph.pipeline import MotionPipeline
-    from kinegraph.text.parser import import_in_background
+    from kinegraph.text.analysis import import_in_background
 
     if parses:
         import_in_background()

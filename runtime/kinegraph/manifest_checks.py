@@ -20,10 +20,10 @@ FORMAT_VERSION: Final = 2
 GRAPH_FILES: Final[tuple[str, ...]] = tuple(f"{graph}.onnx" for graph in GRAPHS)
 REQUIRED_FILES: Final[frozenset[str]] = frozenset((*GRAPH_FILES, "tokenizer.json", "tables.npz"))
 OPTIONAL_FILES: Final[frozenset[str]] = frozenset(
-    ("parser.bin", *(f"{graph}.onnx" for graph in COARSE_DECODERS.values()))
+    ("parser.bin", "arguments.npz", *(f"{graph}.onnx" for graph in COARSE_DECODERS.values()))
 )
-"""Without the parser a bundle takes graphs, but no plain sentences; without the coarse decoders it shows no clip before
-the last level is done."""
+"""Without the parser a bundle takes graphs, but no plain sentences; without arguments.npz its parser goes by rules;
+without the coarse decoders it shows no clip before the last level is done."""
 
 MAX_DIMS: Final[Mapping[str, int]] = {
     "tokens": 256,

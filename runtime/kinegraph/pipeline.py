@@ -85,7 +85,7 @@ class MotionPipeline:
         bundle = replace(bundle, files={})  # so that only `files` holds the bytes, and a session's go when it is made
         sessions = open_sessions(bundle, threads=threads, options=session_options, files=files)
         tokenizer = CaptionTokenizer(files["tokenizer.json"])
-        return cls(bundle.manifest, sessions, tokenizer, bundle.tables, LazyParser(files.get("parser.bin")))
+        return cls(bundle.manifest, sessions, tokenizer, bundle.tables, LazyParser.of(files))
 
     def parse(self, text: str) -> SemanticGraph:
         """The semantic graph of a sentence: look at it, edit it, hand it back to `generate`.
