@@ -46,7 +46,7 @@ from kinegraph.tables import bones_of
 from kinegraph.text.ranker import provenance_of
 from kinegraph.text.roles import ROLES
 from kinegraph_export.checkpoints import read_run
-from kinegraph_export.graphs import KEPT_IN_FLOAT, Precision, Trained, export_graphs, level_specs
+from kinegraph_export.graphs import KEPT_IN_FLOAT, STORED_INT8, Precision, Trained, export_graphs, level_specs
 from kinegraph_export.parity import ParityError
 from kinegraph_export.pipeline_parity import Request, torch_joints
 from kinegraph_export.sources import MINILM, SPACY_MODEL
@@ -146,11 +146,16 @@ def manifest_of(
 
 def numbers(operators: dict[str, tuple[str, ...]], precision: Precision) -> str:
     """How weights are stored and computed with, for a person to read."""
+
+    def present(graphs: tuple[str, ...]) -> str:
+        return ", ".join(graph for graph in graphs if f"{graph}.onnx" in operators)
+
     blocks = "com.microsoft::MatMulNBits" in operators["text_encoder.onnx"]
     halves = "float32 arithmetic on weights stored as float16"
     own = {
         "fp32": f"all networks: {halves}",
-        "int8": f"denoisers: int8, activations with one scale per tensor and run; {', '.join(KEPT_IN_FLOAT)}: {halves}",
+        "int8": "denoisers: int8, activations with one scale per tensor and run; "
+        f"{present(STORED_INT8)}: float32 arithmetic on weights stored as int8; {present(KEPT_IN_FLOAT)}: {halves}",
     }[precision]
     return f"{own}; text encoder: " + ("weights in int8 blocks" if blocks else "float32 throughout")
 

@@ -12,27 +12,43 @@ import onnx
 import torch
 from torch import nn
 
-from kinegraph.contract import COARSE_DECODERS, LEVELS, NODE_KINDS, GraphContract, LevelSpec, contracts
+from kinegraph.contract import (
+    AGD_CONTEXTS,
+    AGD_STEPS,
+    COARSE_DECODERS,
+    LEVELS,
+    NODE_KINDS,
+    GraphContract,
+    LevelSpec,
+    contracts,
+)
 from kinegraph.errors import InvalidInputError
 from kinegraph_export.fused import fused
 from kinegraph_export.modules import (
+    AgdContextGraph,
+    AgdStepGraph,
     ClockGraph,
     CoarseDecoderGraph,
     ContextGraph,
     DecoderGraph,
+    MotionAgdContextGraph,
     MotionContextGraph,
     StepGraph,
 )
-from kinegraph_export.onnx_export import halved_weights, serialised, stripped, to_onnx
+from kinegraph_export.onnx_export import halved_weights, int8_weights, serialised, stripped, to_onnx
 from kinegraph_export.parity import Draw, max_difference, module_arguments, relative_error
 from kinegraph_export.quantise import dynamic_int8, optimised
+from kinegraph_training.models.agd import AgdStepNetwork
 from kinegraph_training.models.hierarchy import Hierarchy
 from kinegraph_training.models.vae import MotionVae
 
 Precision = Literal["fp32", "int8"]
 
-KEPT_IN_FLOAT = ("graph_encoder", "decoder")
+KEPT_IN_FLOAT = ("graph_encoder", "decoder", *AGD_CONTEXTS.values())
 """Graphs whose numbers stay float32 in an int8 bundle."""
+STORED_INT8 = (*AGD_STEPS.values(), *COARSE_DECODERS.values())
+"""Graphs that an int8 bundle stores as int8 and computes in float32: adaptive gradient descent moves a context by
+thousandths, which int8 activations would round away."""
 
 
 @dataclass(frozen=True)
@@ -93,10 +109,12 @@ def graph_modules(trained: Trained) -> dict[str, nn.Module]:
     modules: dict[str, nn.Module] = {"graph_encoder": trained.hierarchy.graph_encoder}
     for level in LEVELS:
         denoiser = trained.hierarchy.levels[level]
-        wrap = MotionContextGraph if level == LEVELS[0] else ContextGraph
-        modules[f"context_{level}"] = wrap(denoiser.context)
+        top = level == LEVELS[0]
+        modules[f"context_{level}"] = (MotionContextGraph if top else ContextGraph)(denoiser.context)
         modules[f"clock_{level}"] = ClockGraph(denoiser.clock)
         modules[f"step_{level}"] = StepGraph(denoiser.step)
+        modules[AGD_CONTEXTS[level]] = (MotionAgdContextGraph if top else AgdContextGraph)(denoiser.context)
+        modules[AGD_STEPS[level]] = AgdStepGraph(AgdStepNetwork(denoiser))
     modules["decoder"] = DecoderGraph(trained.vae, trained.centre, trained.scale)
     for level, own in trained.coarse.items():
         modules[COARSE_DECODERS[level]] = CoarseDecoderGraph(own.vae, own.centre, own.scale, own.gain, own.shift)
@@ -140,6 +158,8 @@ def _values(name: str, shape: tuple[int, ...], size: dict[str, int], rng: np.ran
     if name in ("node_mask", "frame_mask"):
         length = rng.integers(shape[1] // 2 + 1, shape[1] + 1, shape[0])
         return (np.arange(shape[1]) < length[:, None]).astype(np.float32)
+    if name == "gamma":
+        return rng.choice([0.0, 1e-3, 1e-2], shape).astype(np.float32)
     if name == "bias":
         return rng.choice([0.0, 0.0, -0.7, -1e4], shape).astype(np.float32)
     return rng.standard_normal(shape).astype(np.float32)
@@ -170,8 +190,9 @@ def export_graph(
     model = traced(module, contract, frames_per_token)
     data = serialised(halved_weights(copy.deepcopy(model)))
     parity = {contract.name: max_difference(data, module, contract, draw)}
-    if precision == "int8" and not contract.name.startswith(KEPT_IN_FLOAT):
-        data = serialised(halved_weights(stripped(optimised(dynamic_int8(model)))))
+    if precision == "int8" and contract.name not in KEPT_IN_FLOAT:
+        smaller = int8_weights(model) if contract.name in STORED_INT8 else optimised(dynamic_int8(model))
+        data = serialised(halved_weights(stripped(smaller)))
         parity[f"int8_{contract.name}"] = relative_error(data, module, contract, draw)
     return data, parity
 

@@ -25,7 +25,7 @@ from onnx import numpy_helper
 from torch import nn
 
 from kinegraph.bundle import Bundle, read_bundle
-from kinegraph.contract import COARSE_DECODERS, LEVELS, GraphContract, contracts
+from kinegraph.contract import COARSE_DECODERS, LEVELS, OPTIONAL_GRAPHS, GraphContract, contracts
 from kinegraph.errors import InvalidInputError
 from kinegraph_export.graphs import Trained, graph_modules, traced
 from kinegraph_training.config import Preset, read_preset
@@ -115,12 +115,14 @@ def hierarchy_of(bundle: Bundle, config: DenoiserConfig, vaes: Path) -> tuple[Hi
     declared = contracts(manifest.levels, config.text_width, len(manifest.features.mean))
     statistics = {}
     for level, graph in ((LEVELS[-1], "decoder"), *COARSE_DECODERS.items()):
-        if declared[graph].file in bundle.files:
-            decoder = numbers(onnx.load_model_from_string(bundle.files[declared[graph].file]))
+        file = declared[graph].file
+        if file in manifest.files:
+            data = bundle.files[file] if level == LEVELS[-1] else bundle.optional(file)
+            decoder = numbers(onnx.load_model_from_string(data))
             statistics |= {f"{level}_{name}": decoder[name] for name in ("centre", "scale")}
     unit = torch.ones(shapes[LEVELS[-1]].tokens, shapes[LEVELS[-1]].width)
     for name, module in graph_modules(Trained(hierarchy, own.vae, unit, unit)).items():
-        if name != "decoder":
+        if name != "decoder" and name not in OPTIONAL_GRAPHS:
             contract = declared[name]
             recovered(module, contract, manifest.frames.per_token, bundle.files[contract.file])
     return hierarchy, statistics

@@ -104,7 +104,7 @@ def _compose(options: argparse.Namespace) -> int:
     if options.energy is not None:
         _check_energy(options.energy, targets, options.force)
     found = concepts(options.wanted, options.unwanted)
-    own = {"method": options.method, "text": options.text, "lambdas": options.lambdas}
+    own = {"method": options.method, "text": options.text, "lambdas": options.lambdas, "agd": options.agd}
 
     def make(pipeline: MotionPipeline, **wishes: Any) -> list[Clip]:
         clips = _one_by_one(pipeline.compose, found, len(targets), own | wishes)

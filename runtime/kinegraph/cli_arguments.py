@@ -65,7 +65,7 @@ def add_compose(parser: argparse.ArgumentParser) -> None:
         action="append",
         default=[],
         metavar="TEXT[:WEIGHT]",
-        help="a motion that should not; weight 0.5 unless told",
+        help="a motion that should not; weight 1 unless told",
     )
     parser.add_argument("--method", default="fused", help="latent, semantic or fused (default)")
     parser.add_argument("--text", help="the joint sentence of fused; default: the wanted ones joined with 'while'")
@@ -74,6 +74,12 @@ def add_compose(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--energy", type=Path, metavar="FILE.png", help="also draw the energy of each concept and of the composition"
+    )
+    parser.add_argument(
+        "--agd",
+        type=level_numbers,
+        metavar="A,R",
+        help="step sizes of adaptive gradient descent, e.g. 0.0004,0.0004; default: off",
     )
     _add_sampling(parser)
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from kinegraph.conditions import Conditions, for_level, stacked, without_anything, without_text
 from kinegraph.contract import LEVELS
-from kinegraph.diffusion.composition import Wiring, composition, mixed
+from kinegraph.diffusion.composition import Mixture, Wiring, composition, mixed, step_sizes
 from kinegraph.diffusion.ddim import DdimCoefficients
 from kinegraph.diffusion.guidance import guided
 from kinegraph.diffusion.sampler import (
@@ -28,37 +28,6 @@ from kinegraph.options import GenerateOptions
 from kinegraph.sessions import Sessions
 
 FloatArray = NDArray[np.float32]
-
-
-@dataclass(frozen=True)
-class Mixture:
-    """Several concepts and their joint text, as graphs whose predictions are mixed (`diffusion.composition`)."""
-
-    encoded: Conditions
-    """All graphs: those of each concept, then those of the joint text."""
-    concepts: tuple[float, ...]
-    """Weight of each concept."""
-    parts: tuple[tuple[float, ...], ...]
-    """Of each concept, then of the joint text if it is encoded: the weights of its graphs (`edits.edge_terms`)."""
-    shares: tuple[float, float, float]
-    """Of the latent-aware, the semantic-aware and the joint-text term."""
-
-    @property
-    def weights(self) -> list[float]:
-        """Of the graphs of all concepts."""
-        return [weight * part for weight, own in zip(self.concepts, self.parts, strict=False) for part in own]
-
-    @property
-    def joint(self) -> list[float]:
-        """Of the graphs of the joint text."""
-        return [part for own in self.parts[len(self.concepts) :] for part in own]
-
-    def alone(self, number: int) -> Mixture:
-        """One of `parts` under plain guidance, as if it had been asked for by itself."""
-        start = sum(len(own) for own in self.parts[:number])
-        rows = slice(start, start + len(self.parts[number]))
-        encoded = Conditions(*(part[rows] for part in vars(self.encoded).values()))
-        return Mixture(encoded, (1.0,), (self.parts[number],), (1.0, 0.0, 0.0))
 
 
 @dataclass(frozen=True)
@@ -81,17 +50,23 @@ class Denoisers:
 
         return self._sampled(options, predictor_for, on_step)
 
-    def composed(self, mixture: Mixture, options: GenerateOptions, on_step: OnStep | None) -> FloatArray:
-        """Latent of the finest level from several graphs, one run per step whatever the method."""
+    def composed(
+        self, encoded: Conditions, mixture: Mixture, options: GenerateOptions, on_step: OnStep | None
+    ) -> FloatArray:
+        """Latent of the finest level from several graphs, one run per step whatever the method.
+
+        Rows of `encoded` come in the order of the mixture's weights, its joint text and its negated concepts.
+        """
 
         def predictor_for(number: int, times: DdimCoefficients, coarse: FloatArray | None) -> Predict:
-            return self.predictor_of(LEVELS[number], mixture, coarse, options, times)
+            return self.predictor_of(LEVELS[number], encoded, mixture, coarse, options, times)
 
         return self._sampled([options], predictor_for, on_step)
 
     def predictor_of(
         self,
         name: str,
+        encoded: Conditions,
         mixture: Mixture,
         coarse: FloatArray | None,
         options: GenerateOptions,
@@ -99,14 +74,14 @@ class Denoisers:
     ) -> Predict:
         """Guided noise prediction of one level for a mixture, one sample at a time."""
         apart = coarse is not None and self.manifest.defaults.guidance_base == "empty"
-        scale = options.guidance[name]
-        plan = composition(mixture.weights, mixture.shares, scale, coarse=apart, joint_weights=mixture.joint)
-        seen = for_level(mixture.encoded, self.manifest.levels[name].nodes)
+        plan = composition(mixture, options.guidance[name], coarse=apart)
+        gamma = step_sizes(plan.wiring, mixture.agd) if any(mixture.agd) else None
+        seen = for_level(encoded, self.manifest.levels[name].nodes)
         first = Conditions(*(part[:1] for part in vars(seen).values()))
         known = stacked(stacked(self._base(first), without_text(first)), seen)
         rows = len(plan.mix)
         shared = None if coarse is None else np.repeat(coarse, len(known.kind), axis=0)
-        network = self._network(name, known, shared, plan.wiring, np.full(rows, options.frames), times)
+        network = self._network(name, known, shared, plan.wiring, np.full(rows, options.frames), times, gamma)
         return lambda latent, step: mixed(network(np.repeat(latent, rows, axis=0), step), plan.mix)
 
     def plans(self, options: GenerateOptions) -> list[LevelPlan]:
@@ -158,7 +133,11 @@ class Denoisers:
         wiring: Wiring,
         frames: NDArray[np.int64],
         times: DdimCoefficients,
+        gamma: FloatArray | None = None,
     ) -> RowNetwork:
         sessions = self.sessions
         modulation = modulations(sessions.clock[name], times.timesteps, frames)
-        return row_network(sessions.context[name], sessions.step[name], known, coarse, wiring, modulation)
+        context, step = sessions.context[name], sessions.step[name]
+        if gamma is not None:
+            context, step = sessions.context_agd[name](), sessions.step_agd[name]()
+        return row_network(context, step, known, coarse, wiring, modulation, gamma)

@@ -11,9 +11,11 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from kinegraph.concepts import Concept, checked_concepts, checked_lambdas, joint_caption
+from kinegraph.concepts import Concept, checked_composing
+from kinegraph.conditions import Conditions
 from kinegraph.contract import LEVELS
-from kinegraph.denoisers import Denoisers, Mixture
+from kinegraph.denoisers import Denoisers
+from kinegraph.diffusion.composition import Mixture
 from kinegraph.diffusion.ddim import DdimCoefficients, ddim_coefficients
 from kinegraph.diffusion.energy import SAME, noise_field, plane_through, potential
 from kinegraph.diffusion.sampler import OnStep, Predict, StepInfo, coarse_to_fine, initial_noise, sample_level
@@ -105,6 +107,7 @@ def energy_maps(
     method: str = "fused",
     text: str | SemanticGraph | None = None,
     lambdas: tuple[float, float, float] | None = None,
+    agd: tuple[float, float] | None = None,
     seconds: float | None = None,
     seed: int | None = None,
     steps: Steps | None = None,
@@ -115,8 +118,8 @@ def energy_maps(
 
     Args:
         pipe: a loaded bundle.
-        concepts, method, text, lambdas, seconds, seed, steps, guidance: as in `MotionPipeline.compose`; the joint text
-            has a map whatever the method.
+        concepts, method, text, lambdas, agd, seconds, seed, steps, guidance: as in `MotionPipeline.compose`; the joint
+            text has a map whatever the method.
         on_step: told of the steps of the composition, then of every row of the maps (level "energy").
 
     Raises:
@@ -124,23 +127,23 @@ def energy_maps(
         Cancelled: `on_step` returned False.
         NonFiniteError: a model produced NaN or infinity.
     """
-    found = checked_concepts(concepts)
-    shares = checked_lambdas(method, lambdas, text, found)
+    what = checked_composing(concepts, method, text, lambdas, agd)
     options = generate_options(pipe.manifest, seconds=seconds, seed=seed, steps=steps, guidance=guidance)
-    joint = joint_caption(found) if text is None else text
-    mixture, options = pipe._mixture(found, [joint], shares, options, seconds is None)
-    words = [*(concept.caption for concept in found), joint.caption if isinstance(joint, SemanticGraph) else joint]
+    encoded, mixture, options = pipe._mixed(what, options, seconds is None)
+    found = (*what.concepts, *what.negated)
     labels = [concept.caption + ("" if concept.weight == 1 else f", weight {concept.weight:g}") for concept in found]
-    labels += [f"composed: {method}", f"one text: {words[-1]}"]
-    alone = [mixture.alone(number) for number in range(len(words))]
+    joint = Concept(what.joint)
+    labels += [f"composed: {method}", f"one text: {joint.caption}"]
+    by_themselves = [checked_composing([each.text], "latent", None, None, None) for each in (*found, joint)]
+    *alone, named = [pipe._mixed(each, options, False)[:2] for each in by_themselves]
     denoisers = Denoisers(pipe._sessions, pipe.manifest)
-    return maps_of(denoisers, labels, [*alone[:-1], mixture, alone[-1]], options, on_step)
+    return maps_of(denoisers, labels, [*alone, (encoded, mixture), named], options, on_step)
 
 
 def maps_of(
     denoisers: Denoisers,
     labels: Sequence[str],
-    mixtures: Sequence[Mixture],
+    mixtures: Sequence[tuple[Conditions, Mixture]],
     options: GenerateOptions,
     on_step: OnStep | None,
 ) -> EnergyMaps:
@@ -150,11 +153,11 @@ def maps_of(
     noises = [noise[None] for noise in initial_noise(options.seed, plans)]
 
     def composed(number: int, times: DdimCoefficients, coarse: FloatArray | None) -> Predict:
-        return denoisers.predictor_of(LEVELS[number], mixtures[-2], coarse, options, times)
+        return denoisers.predictor_of(LEVELS[number], *mixtures[-2], coarse, options, times)
 
     coarse = coarse_to_fine(plans, noises, composed, schedule, on_step)[-2]
     times = ddim_coefficients(schedule, options.steps[level])
-    predictors = [denoisers.predictor_of(level, mixture, coarse, options, times) for mixture in mixtures]
+    predictors = [denoisers.predictor_of(level, *each, coarse, options, times) for each in mixtures]
     ends = [sample_level(noises[-1], each, times, lambda _: None)[0].astype(np.float64) for each in predictors]
     plane = plane_through([ends[-2], *ends[:-2], ends[-1]])
     places = axes_around(np.stack([plane.place(end) for end in ends]))

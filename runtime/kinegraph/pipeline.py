@@ -15,11 +15,12 @@ import onnxruntime
 from numpy.typing import NDArray
 
 from kinegraph.bundle import read_bundle
-from kinegraph.concepts import Concept, checked_concepts, checked_lambdas, joint_caption
+from kinegraph.concepts import Composing, Concept, checked_composing
 from kinegraph.conditions import Conditions, GraphArrays, conditions, padded, repeated
 from kinegraph.contract import LEVELS
 from kinegraph.decoding import decode, finite
-from kinegraph.denoisers import Denoisers, Mixture
+from kinegraph.denoisers import Denoisers
+from kinegraph.diffusion.composition import Mixture
 from kinegraph.diffusion.sampler import OnStep, part_of
 from kinegraph.duration import with_own_length
 from kinegraph.edits import edge_terms
@@ -140,7 +141,7 @@ class MotionPipeline:
         if weights == (1.0,):
             latent = denoisers.guided(encoded, [options], on_step)
         else:
-            latent = denoisers.composed(Mixture(encoded, (1.0,), (weights,), (1.0, 0.0, 0.0)), options, on_step)
+            latent = denoisers.composed(encoded, Mixture(weights), options, on_step)
         return replace(self._clips(latent, [options], [graph.caption])[0], graph=graph)
 
     def takes(
@@ -248,6 +249,7 @@ class MotionPipeline:
         method: str = "fused",
         text: str | SemanticGraph | None = None,
         lambdas: tuple[float, float, float] | None = None,
+        agd: tuple[float, float] | None = None,
         seconds: float | None = None,
         seed: int | None = None,
         steps: Steps | None = None,
@@ -256,50 +258,49 @@ class MotionPipeline:
         on_step: OnStep | None = None,
         on_level: OnLevel | None = None,
     ) -> Clip:
-        """A clip in which several motions happen at once, or do not (EnergyMoGen, Eq. 7-10).
+        """A clip in which several motions happen at once, or do not (EnergyMoGen, Eq. 3, 4, 7-10).
 
         Args:
             concepts: up to 8; a negative weight is what must not happen.
             method: "latent" adds predictions (Eq. 7, 8), "semantic" mixes attention (Eq. 9), "fused" blends both
-                with the joint text (Eq. 10).
+                with the joint text (Eq. 10) and takes away what is negated (Eq. 8).
             text: the joint text of "fused"; None joins the positive concepts with "while".
             lambdas: of "fused": shares of latent, semantic and joint text; default (0.1, 0.3, 0.6).
+            agd: step sizes (gamma_attn, gamma_reg) of adaptive gradient descent (Eq. 3, 4), each 0 to 1: EnergyMoGen
+                has (0.0004, 0.0004) for several concepts and (0.001, 0.002) for one sentence of several; None is off.
             seconds, seed, steps, guidance, foot_fix, on_step, on_level: as in `generate`.
 
         Raises:
-            InvalidInputError: a concept, weight or option is outside what can be composed; nothing has been run.
+            InvalidInputError: a concept, weight or option is outside what can be composed, or the bundle has no
+                graphs for `agd`; nothing has been run.
             Cancelled, NonFiniteError: as in `generate`.
         """
-        found = checked_concepts(concepts)
-        shares = checked_lambdas(method, lambdas, text, found)
+        what = checked_composing(concepts, method, text, lambdas, agd)
         options = generate_options(
             self.manifest, seconds=seconds, seed=seed, steps=steps, guidance=guidance, foot_fix=foot_fix
         )
-        joint = joint_caption(found) if text is None else text
-        mixture, options = self._mixture(found, [joint] if shares[2] else [], shares, options, seconds is None)
-        caption = joint.caption if isinstance(joint, SemanticGraph) else joint
-        latent = self._denoisers(options, caption, on_level).composed(mixture, options, on_step)
+        encoded, mixture, options = self._mixed(what, options, seconds is None)
+        caption = what.joint.caption if isinstance(what.joint, SemanticGraph) else what.joint
+        latent = self._denoisers(options, caption, on_level).composed(encoded, mixture, options, on_step)
         return self._clips(latent, [options], [caption])[0]
 
-    def _mixture(
-        self,
-        concepts: Sequence[Concept],
-        joint: Sequence[str | SemanticGraph],
-        shares: tuple[float, float, float],
-        options: GenerateOptions,
-        own_length: bool,
-    ) -> tuple[Mixture, GenerateOptions]:
-        """Concepts and at most one joint text, encoded; `own_length` asks the concepts for the length."""
-        wanted = [*(concept.text for concept in concepts), *joint]
-        graphs = [each if isinstance(each, SemanticGraph) else self.parse(each) for each in wanted]
+    def _mixed(
+        self, what: Composing, options: GenerateOptions, own_length: bool
+    ) -> tuple[Conditions, Mixture, GenerateOptions]:
+        """What is composed, encoded; `own_length` asks the concepts for the length."""
+        if any(what.agd) and not self._sessions.step_agd:
+            raise InvalidInputError(
+                f"bundle {self.manifest.name} {self.manifest.version} has no graphs for adaptive gradient descent: "
+                "leave agd out, or export the bundle again with this kinegraph"
+            )
+        graphs = [text if isinstance(text, SemanticGraph) else self.parse(text) for text, _ in what.parts]
         terms = [edge_terms(graph) for graph in graphs]
-        arrays = [[self._arrays(each) for each, _ in own] for own in terms]
+        arrays = [[self._arrays(term) for term, _ in own] for own in terms]
         if own_length:
-            positive = [own[0] for own, concept in zip(arrays, concepts, strict=False) if concept.weight > 0]
-            options = with_own_length(options, self._tables.get(DURATION), self.manifest, positive)
+            wanted = [own[0] for own, concept in zip(arrays, what.concepts, strict=False) if concept.weight > 0]
+            options = with_own_length(options, self._tables.get(DURATION), self.manifest, wanted)
         encoded = self._encode([each for own in arrays for each in own])
-        parts = tuple(tuple(part for _, part in own) for own in terms)
-        return Mixture(encoded, tuple(concept.weight for concept in concepts), parts, shares), options
+        return encoded, what.mixture([[part for _, part in own] for own in terms]), options
 
     def _denoisers(self, options: GenerateOptions, caption: str, on_level: OnLevel | None) -> Denoisers:
         """The diffusion models, which tell `on_level` of every level that can be decoded."""

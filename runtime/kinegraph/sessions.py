@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import os
+import threading
 from collections.abc import Callable, Mapping, MutableMapping
 from dataclasses import dataclass
-from functools import cache, partial
 from types import MappingProxyType
 from typing import Final
 
@@ -13,7 +13,7 @@ import onnxruntime
 from onnxruntime.capi import onnxruntime_pybind11_state as _state
 
 from kinegraph.bundle import Bundle
-from kinegraph.contract import COARSE_DECODERS, LEVELS, GraphContract, check
+from kinegraph.contract import AGD_CONTEXTS, AGD_STEPS, COARSE_DECODERS, LEVELS, GraphContract, check
 from kinegraph.errors import BundleError, InvalidInputError
 
 MAX_THREADS: Final = 256
@@ -32,6 +32,21 @@ DISABLED_OPTIMIZERS: Final = ["SkipLayerNormFusion"]
 _ERRORS_ONLY: Final = 3
 
 
+class Deferred:
+    """A session that is made at its first use, once, whichever thread asks first."""
+
+    def __init__(self, make: Callable[[], onnxruntime.InferenceSession]) -> None:
+        self._make = make
+        self._lock = threading.Lock()
+        self._session: onnxruntime.InferenceSession | None = None
+
+    def __call__(self) -> onnxruntime.InferenceSession:
+        with self._lock:
+            if self._session is None:
+                self._session = self._make()
+            return self._session
+
+
 @dataclass(frozen=True)
 class Sessions:
     """One session per graph; `run` on each of them may be called from any number of threads."""
@@ -45,8 +60,15 @@ class Sessions:
     step: Mapping[str, onnxruntime.InferenceSession]
     """By level."""
     decoder: onnxruntime.InferenceSession
-    coarse_decoders: Mapping[str, Callable[[], onnxruntime.InferenceSession]]
-    """By level, as far as the bundle has them; each is made at its first use."""
+    coarse_decoders: Mapping[str, Deferred]
+    """By level, as far as the bundle has them; so are the next two."""
+    context_agd: Mapping[str, Deferred]
+    step_agd: Mapping[str, Deferred]
+
+    @property
+    def deferred(self) -> tuple[Deferred, ...]:
+        """All that are made at their first use."""
+        return (*self.coarse_decoders.values(), *self.context_agd.values(), *self.step_agd.values())
 
     def decoder_of(self, level: str) -> onnxruntime.InferenceSession:
         """The decoder of a level that has one."""
@@ -110,6 +132,13 @@ def open_sessions(
         data = bundle.files[contract.file] if files is None else files.pop(contract.file)
         return open_session(data, contract, settings)
 
+    def deferred(graphs: Mapping[str, str], settings: onnxruntime.SessionOptions) -> Mapping[str, Deferred]:
+        def at_first_use(contract: GraphContract) -> Deferred:
+            return Deferred(lambda: open_session(bundle.optional(contract.file), contract, settings))
+
+        present = {level: contracts[graph] for level, graph in graphs.items() if graph in contracts}
+        return MappingProxyType({level: at_first_use(contract) for level, contract in present.items()})
+
     return Sessions(
         text_encoder=make("text_encoder", wide),
         graph_encoder=make("graph_encoder", wide),
@@ -117,9 +146,9 @@ def open_sessions(
         clock=MappingProxyType({level: make(f"clock_{level}", narrow) for level in LEVELS}),
         step=MappingProxyType({level: make(f"step_{level}", narrow) for level in LEVELS}),
         decoder=make("decoder", wide),
-        coarse_decoders=MappingProxyType(
-            {level: cache(partial(make, graph, wide)) for level, graph in COARSE_DECODERS.items() if graph in contracts}
-        ),
+        coarse_decoders=deferred(COARSE_DECODERS, wide),
+        context_agd=deferred(AGD_CONTEXTS, wide),
+        step_agd=deferred(AGD_STEPS, narrow),
     )
 
 
