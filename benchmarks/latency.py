@@ -23,6 +23,7 @@ from kinegraph.bench import GRAPH, machine
 from kinegraph.bundle import read_bundle
 from kinegraph.concepts import DEFAULT_LAMBDAS
 from kinegraph.denoisers import Denoisers
+from kinegraph.diffusion.composition import Mixture
 from kinegraph.options import generate_options
 from kinegraph.sessions import available_cpus
 from kinegraph_export.graphs import Precision
@@ -32,7 +33,8 @@ PUBLISHED, PLAIN = "published, eager torch", "published, plain ONNX export"
 
 def composed(denoisers: Denoisers, concepts: paper_size.Task) -> Arm:
     """Three concepts and their joint text, fused: rows of `concepts` are four graphs."""
-    return lambda: denoisers.composed(concepts.encoded, [1.0, 1.0, 1.0], [1.0], DEFAULT_LAMBDAS, concepts.options, None)
+    mixture = Mixture((1.0, 1.0, 1.0), (1.0,), lambdas=DEFAULT_LAMBDAS)
+    return lambda: denoisers.composed(concepts.encoded, mixture, concepts.options, None)
 
 
 def arms(quick: bool) -> tuple[dict[str, Arm], dict[str, Arm]]:

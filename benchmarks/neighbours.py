@@ -24,7 +24,7 @@ from written import written
 from kinegraph.bench import machine
 from kinegraph.sessions import available_cpus
 
-SETTINGS = ("default", "1 thread", "2 threads", "2 threads, spinning")
+SETTINGS = ("default", "1 thread", "2 threads", "2 threads, spinning", "2 threads, spinning in a run")
 
 # Loads, warms up, prints the times of clips from a graph, and the share of a core that is used while it sleeps.
 MEASURED = """
@@ -33,12 +33,13 @@ from pathlib import Path
 import onnxruntime
 from kinegraph import MotionPipeline
 from kinegraph.bench import GRAPH
-from kinegraph.sessions import session_options
 threads, spinning, repeats, bundle = json.loads(sys.argv[1])
 wishes = {"threads": threads}
 if spinning:
-    options = session_options(threads)
-    options.add_session_config_entry("session.intra_op.allow_spinning", "1")
+    options = onnxruntime.SessionOptions()
+    options.intra_op_num_threads, options.inter_op_num_threads = threads, 1
+    if spinning == "in a run":
+        options.add_session_config_entry("session.force_spinning_stop", "1")
     wishes = {"session_options": options}
 pipe = MotionPipeline.load(bundle, **wishes)
 times = []
@@ -55,7 +56,8 @@ print(json.dumps({"times_ms": [round(t, 3) for t in times[3:]], "idle_cpu": time
 def measured(setting: str, repeats: int, bundle: Path | None) -> dict[str, Any]:
     """One setting in a fresh process."""
     threads = None if setting == "default" else int(setting.split()[0])
-    words = [threads, "spinning" in setting, repeats, None if bundle is None else str(bundle)]
+    spinning = "in a run" if setting.endswith("in a run") else "always" if setting.endswith("spinning") else None
+    words = [threads, spinning, repeats, None if bundle is None else str(bundle)]
     done = subprocess.run([sys.executable, "-c", MEASURED, json.dumps(words)], stdout=subprocess.PIPE, check=True)
     found: dict[str, Any] = json.loads(done.stdout)
     return found

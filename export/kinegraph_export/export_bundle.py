@@ -43,13 +43,14 @@ from kinegraph.motion.skeleton import JOINT_NAMES, PARENTS, FloatArray
 from kinegraph.onnx_ops import summarise
 from kinegraph.pipeline import MotionPipeline
 from kinegraph.tables import bones_of
+from kinegraph.text.ranker import provenance_of
 from kinegraph.text.roles import ROLES
 from kinegraph_export.checkpoints import read_run
 from kinegraph_export.graphs import KEPT_IN_FLOAT, STORED_INT8, Precision, Trained, export_graphs, level_specs
 from kinegraph_export.parity import ParityError
 from kinegraph_export.pipeline_parity import Request, torch_joints
 from kinegraph_export.sources import MINILM, SPACY_MODEL
-from kinegraph_training.caption_graphs import ASSETS
+from kinegraph_training.caption_graphs import read_assets
 from kinegraph_training.latents import TrainedVae
 from kinegraph_training.run_tables import read_tables
 
@@ -119,6 +120,7 @@ def manifest_of(
             "training_data": card.training_data,
             "text_encoder": f"sentence-transformers/all-MiniLM-L6-v2 from {MINILM}",
             "parser": f"en_core_web_sm from {SPACY_MODEL}",
+            "arguments": provenance_of(files["arguments.npz"]) if "arguments.npz" in files else "by rules alone",
             "numbers": numbers(operators, precision),
             "built_with": f"kinegraph {kinegraph.__version__}, torch {torch.__version__}, "
             f"onnxruntime {onnxruntime.__version__}, Python {platform.python_version()}",
@@ -203,7 +205,7 @@ def export_bundle(run: Path, assets: Path, card: Card, out: Path, precision: Pre
     trained, own = read_run(run)
     graphs, parity = export_graphs(trained, trained.hierarchy.config.text_width, len(own.mean), precision)
     measured = read_tables(run)
-    files = {name: (assets / name).read_bytes() for name in ASSETS} | graphs
+    files = read_assets(assets) | graphs
     files["tables.npz"] = table_file(measured)
     draft = manifest_of(card, trained, own, files, parity, precision)
     if out.exists() and not (out / "manifest.json").is_file():

@@ -59,6 +59,7 @@ def optimised(model: onnx.ModelProto) -> onnx.ModelProto:
             model.SerializeToString(),
             options,
             providers=["CPUExecutionProvider"],
-            disabled_optimizers=DISABLED_OPTIMIZERS,
+            # two weights that share one constant as their scale would not be fused
+            disabled_optimizers=[*DISABLED_OPTIMIZERS, "ConstantSharing"],
         )
         return onnx.load(target)

@@ -5,7 +5,8 @@ or exported anew (in another precision, with further graphs) where the checkpoin
         --data DATA --held-out PAIRS
 
 The exporter moves, transposes and renames weights. Where each one went is found by exporting modules of the same shape
-whose weights are all different numbers. What comes back are the weights that the bundle holds, rounded to float16.
+whose weights are all different numbers. What comes back are the weights that the bundle holds, rounded to float16 or
+int8: a place to train on from, and from an fp32 bundle the same graphs again.
 """
 
 from __future__ import annotations
@@ -37,15 +38,19 @@ from kinegraph_training.train_denoisers import within
 
 FloatArrays = dict[str, np.ndarray]
 
+QUANTISED = "_quantized"
+"""How onnxruntime's quantiser names the int8 weights of a tensor; their scale is `{name}_scale`."""
+
 
 def numbers(model: onnx.ModelProto) -> FloatArrays:
-    """Floating-point initializers as float32, those stored as float16 under the name they are widened to."""
-    kinds = (onnx.TensorProto.FLOAT, onnx.TensorProto.FLOAT16)
-    return {
-        tensor.name.removesuffix(".half"): numpy_helper.to_array(tensor).astype(np.float32)
-        for tensor in model.graph.initializer
-        if tensor.data_type in kinds
-    }
+    """Floating-point weights as float32: those stored as float16 under the name they are widened to, those in int8
+    multiplied by their scale."""
+    arrays = {tensor.name.removesuffix(".half"): numpy_helper.to_array(tensor) for tensor in model.graph.initializer}
+    found = {name: value.astype(np.float32) for name, value in arrays.items() if value.dtype.kind == "f"}
+    for name in [name for name in arrays if name.endswith(QUANTISED)]:
+        own = name.removesuffix(QUANTISED)
+        found[own] = arrays[name].astype(np.float32) * found.pop(f"{own}_scale")
+    return found
 
 
 def views(value: np.ndarray) -> Iterator[np.ndarray]:
@@ -151,8 +156,6 @@ def recover(
         InvalidInputError: it was not exported from this preset.
     """
     bundle, wanted = read_bundle(folder), read_preset(preset)
-    if bundle.manifest.precision != "fp32":
-        raise InvalidInputError(f"{folder} holds int8 weights, which cannot be trained on; take an fp32 bundle")
     hierarchy, statistics = hierarchy_of(bundle, wanted.denoiser, vaes)
     if data is not None:
         statistics = coarse_statistics(vaes, data, held_out, wanted) | statistics

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Final
 
 if TYPE_CHECKING:
     from kinegraph.concepts import Concept
+    from kinegraph.diffusion.sampler import StepInfo
     from kinegraph.errors import (
         BundleError,
         BundleFormatError,
@@ -48,6 +49,7 @@ _HOMES: Final[dict[str, str]] = {
     "NonFiniteError": "kinegraph.errors",
     "OutputError": "kinegraph.errors",
     "SemanticGraph": "kinegraph.graph",
+    "StepInfo": "kinegraph.diffusion.sampler",
 }
 
 __all__ = [
@@ -65,6 +67,7 @@ __all__ = [
     "NonFiniteError",
     "OutputError",
     "SemanticGraph",
+    "StepInfo",
 ]
 
 

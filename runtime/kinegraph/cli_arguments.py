@@ -73,6 +73,9 @@ def add_compose(parser: argparse.ArgumentParser) -> None:
         "--lambdas", type=level_numbers, metavar="L,S,M", help="shares of latent, semantic and joint text in fused"
     )
     parser.add_argument(
+        "--energy", type=Path, metavar="FILE.png", help="also draw the energy of each concept and of the composition"
+    )
+    parser.add_argument(
         "--agd",
         type=level_numbers,
         metavar="A,R",
@@ -94,7 +97,7 @@ def _add_sampling(parser: argparse.ArgumentParser) -> None:
         type=Path,
         required=True,
         metavar="FILE",
-        help="the suffix says the format: .bvh, .gif, .glb, .html, .npz, .png",
+        help="the suffix says the format: .bvh, .gif, .glb, .html, .json, .mp4, .npz, .png",
     )
     parser.add_argument(
         "--names", default="smpl", metavar="CONVENTION", help="joint names in .bvh and .glb: smpl (default) or mixamo"

@@ -51,11 +51,7 @@ class Denoisers:
         return self._sampled(options, predictor_for, on_step)
 
     def composed(
-        self,
-        encoded: Conditions,
-        mixture: Mixture,
-        options: GenerateOptions,
-        on_step: OnStep | None,
+        self, encoded: Conditions, mixture: Mixture, options: GenerateOptions, on_step: OnStep | None
     ) -> FloatArray:
         """Latent of the finest level from several graphs, one run per step whatever the method.
 
@@ -63,28 +59,43 @@ class Denoisers:
         """
 
         def predictor_for(number: int, times: DdimCoefficients, coarse: FloatArray | None) -> Predict:
-            name = LEVELS[number]
-            apart = coarse is not None and self.manifest.defaults.guidance_base == "empty"
-            plan = composition(mixture, options.guidance[name], coarse=apart)
-            gamma = step_sizes(plan.wiring, mixture.agd) if any(mixture.agd) else None
-            seen = for_level(encoded, self.manifest.levels[name].nodes)
-            first = Conditions(*(part[:1] for part in vars(seen).values()))
-            known = stacked(stacked(self._base(first), without_text(first)), seen)
-            rows = len(plan.mix)
-            shared = None if coarse is None else np.repeat(coarse, len(known.kind), axis=0)
-            network = self._network(name, known, shared, plan.wiring, np.full(rows, options.frames), times, gamma)
-            return lambda latent, step: mixed(network(np.repeat(latent, rows, axis=0), step), plan.mix)
+            return self.predictor_of(LEVELS[number], encoded, mixture, coarse, options, times)
 
         return self._sampled([options], predictor_for, on_step)
+
+    def predictor_of(
+        self,
+        name: str,
+        encoded: Conditions,
+        mixture: Mixture,
+        coarse: FloatArray | None,
+        options: GenerateOptions,
+        times: DdimCoefficients,
+    ) -> Predict:
+        """Guided noise prediction of one level for a mixture, one sample at a time."""
+        apart = coarse is not None and self.manifest.defaults.guidance_base == "empty"
+        plan = composition(mixture, options.guidance[name], coarse=apart)
+        gamma = step_sizes(plan.wiring, mixture.agd) if any(mixture.agd) else None
+        seen = for_level(encoded, self.manifest.levels[name].nodes)
+        first = Conditions(*(part[:1] for part in vars(seen).values()))
+        known = stacked(stacked(self._base(first), without_text(first)), seen)
+        rows = len(plan.mix)
+        shared = None if coarse is None else np.repeat(coarse, len(known.kind), axis=0)
+        network = self._network(name, known, shared, plan.wiring, np.full(rows, options.frames), times, gamma)
+        return lambda latent, step: mixed(network(np.repeat(latent, rows, axis=0), step), plan.mix)
+
+    def plans(self, options: GenerateOptions) -> list[LevelPlan]:
+        """The levels of a run."""
+        return [
+            LevelPlan(name, spec.tokens, spec.latent_width, options.steps[name])
+            for name, spec in ((name, self.manifest.levels[name]) for name in LEVELS)
+        ]
 
     def _sampled(
         self, options: Sequence[GenerateOptions], predictor_for: PredictorFor, on_step: OnStep | None
     ) -> FloatArray:
         """All levels, each sample from the noise of its own seed."""
-        plans = [
-            LevelPlan(name, spec.tokens, spec.latent_width, options[0].steps[name])
-            for name, spec in ((name, self.manifest.levels[name]) for name in LEVELS)
-        ]
+        plans = self.plans(options[0])
         per_sample = [initial_noise(each.seed, plans) for each in options]
         noises = [np.stack(level) for level in zip(*per_sample, strict=True)]
         return coarse_to_fine(plans, noises, predictor_for, self.manifest.schedule.noise, on_step, self.on_latent)[-1]

@@ -22,9 +22,10 @@ OLDEST_VERSION: Final = 2
 GRAPH_FILES: Final[tuple[str, ...]] = tuple(f"{graph}.onnx" for graph in GRAPHS)
 REQUIRED_FILES: Final[frozenset[str]] = frozenset((*GRAPH_FILES, "tokenizer.json", "tables.npz"))
 OPTIONAL_GRAPH_FILES: Final[frozenset[str]] = frozenset(f"{graph}.onnx" for graph in OPTIONAL_GRAPHS)
-OPTIONAL_FILES: Final[frozenset[str]] = OPTIONAL_GRAPH_FILES | {"parser.bin"}
-"""Without the parser a bundle takes graphs, but no plain sentences; without the coarse decoders it shows no clip before
-the last level is done; without the graphs of adaptive gradient descent it refuses to compose with it."""
+OPTIONAL_FILES: Final[frozenset[str]] = OPTIONAL_GRAPH_FILES | {"parser.bin", "arguments.npz"}
+"""Without the parser a bundle takes graphs, but no plain sentences; without arguments.npz its parser goes by rules;
+without the coarse decoders it shows no clip before the last level is done; without the graphs of adaptive gradient
+descent it refuses to compose with it."""
 AGD_FILES: Final[frozenset[str]] = frozenset(f"{graph}.onnx" for graph in (*AGD_CONTEXTS.values(), *AGD_STEPS.values()))
 
 MAX_DIMS: Final[Mapping[str, int]] = {

@@ -15,13 +15,13 @@ import onnxruntime
 from numpy.typing import NDArray
 
 from kinegraph.bundle import read_bundle
-from kinegraph.concepts import Concept, checked_composing
+from kinegraph.concepts import Composing, Concept, checked_composing
 from kinegraph.conditions import Conditions, GraphArrays, conditions, padded, repeated
 from kinegraph.contract import LEVELS
 from kinegraph.decoding import decode, finite
 from kinegraph.denoisers import Denoisers
 from kinegraph.diffusion.composition import Mixture
-from kinegraph.diffusion.sampler import OnStep
+from kinegraph.diffusion.sampler import OnStep, part_of
 from kinegraph.duration import with_own_length
 from kinegraph.edits import edge_terms
 from kinegraph.errors import InvalidInputError
@@ -86,7 +86,7 @@ class MotionPipeline:
         bundle = replace(bundle, files={})  # so that only `files` holds the bytes, and a session's go when it is made
         sessions = open_sessions(bundle, threads=threads, options=session_options, files=files)
         tokenizer = CaptionTokenizer(files["tokenizer.json"])
-        return cls(bundle.manifest, sessions, tokenizer, bundle.tables, LazyParser(files.get("parser.bin")))
+        return cls(bundle.manifest, sessions, tokenizer, bundle.tables, LazyParser.of(files))
 
     def parse(self, text: str) -> SemanticGraph:
         """The semantic graph of a sentence: look at it, edit it, hand it back to `generate`.
@@ -121,8 +121,7 @@ class MotionPipeline:
             guidance: how strictly the text is followed, one number or one per level.
             foot_fix: hold feet that stand where they stand (`motion.feet`).
             on_step: called after every step with a `StepInfo`; returning False stops with `Cancelled`.
-            on_level: called with "motion" and a rough clip, then with "action" and a finer one, where the bundle
-                carries the decoders for it; their frames are those of the clip to come.
+            on_level: called with each coarser level and the clip as far as it has come, where the bundle can decode it.
 
         Raises:
             InvalidInputError: text or an option is outside what the model takes; nothing has been run.
@@ -137,12 +136,12 @@ class MotionPipeline:
         arrays = [self._arrays(each) for each, _ in terms]
         if seconds is None:
             options = with_own_length(options, self._tables.get(DURATION), self.manifest, arrays[:1])
-        encoded, weights = self._encode(arrays), [weight for _, weight in terms]
+        encoded, weights = self._encode(arrays), tuple(weight for _, weight in terms)
         denoisers = self._denoisers(options, graph.caption, on_level)
-        if weights == [1.0]:
+        if weights == (1.0,):
             latent = denoisers.guided(encoded, [options], on_step)
         else:
-            latent = denoisers.composed(encoded, Mixture(tuple(weights)), options, on_step)
+            latent = denoisers.composed(encoded, Mixture(weights), options, on_step)
         return replace(self._clips(latent, [options], [graph.caption])[0], graph=graph)
 
     def takes(
@@ -185,8 +184,7 @@ class MotionPipeline:
             seed, steps, guidance, foot_fix, on_step: as in `generate`.
 
         Raises:
-            InvalidInputError: as in `generate`, no list, too many clips, or a graph with weights.
-            Cancelled, NonFiniteError: as in `generate`.
+            InvalidInputError, Cancelled, NonFiniteError: as in `generate`; also for too many clips, and for weights.
         """
         lengths = part_lengths(texts, seconds, MAX_TAKES, "a batch")
         wishes: dict[str, Any] = {"seed": seed, "steps": steps, "guidance": guidance, "foot_fix": foot_fix}
@@ -196,16 +194,14 @@ class MotionPipeline:
         if any(node.weight != 1 for graph in graphs for node in graph.nodes):
             raise InvalidInputError("clips that share one run cannot weigh edges; make weighted clips one by one")
         arrays = caption_arrays(self._sessions.text_encoder, self._tokenizer, graphs)
-        duration = self._tables.get(DURATION)
         own = [
-            with_own_length(each, duration, self.manifest, [known]) if length is None else each
+            with_own_length(each, self._tables.get(DURATION), self.manifest, [known]) if length is None else each
             for each, known, length in zip(options, arrays, lengths, strict=True)
         ]
-        copies = len(seeds) // len(own)
-        each_clip = [replace(own[place // copies], seed=value) for place, value in enumerate(seeds)]
-        encoded = repeated(self._encode(arrays), copies)
+        each_clip = [replace(own[place // takes], seed=value) for place, value in enumerate(seeds)]
+        encoded = repeated(self._encode(arrays), takes)
         latent = Denoisers(self._sessions, self.manifest).guided(encoded, each_clip, on_step)
-        own_graphs = [graph for graph in graphs for _ in range(copies)]
+        own_graphs = [graph for graph in graphs for _ in range(takes)]
         clips = self._clips(latent, each_clip, [graph.caption for graph in own_graphs])
         return [replace(clip, graph=graph) for clip, graph in zip(clips, own_graphs, strict=True)]
 
@@ -225,7 +221,8 @@ class MotionPipeline:
         Args:
             texts: 1 to 32 sentences or graphs; sentence k is generated with seed + k.
             seconds: of each part, before the joins: one length, one per sentence, or None for what each asks for.
-            seed, steps, guidance, foot_fix, on_step: as in `generate`.
+            seed, steps, guidance, foot_fix: as in `generate`.
+            on_step: as in `generate`; its `done` and `total` are those of all parts.
 
         Raises:
             InvalidInputError, Cancelled, NonFiniteError: as in `generate`.
@@ -236,7 +233,9 @@ class MotionPipeline:
         graphs = [text if isinstance(text, SemanticGraph) else self.parse(text) for text in texts]
         first = options[0].seed
         clips = [
-            self.generate(graph, seconds=length, seed=first + place, on_step=on_step, **wishes)
+            self.generate(
+                graph, seconds=length, seed=first + place, on_step=part_of(on_step, place, len(texts)), **wishes
+            )
             for place, (graph, length) in enumerate(zip(graphs, lengths, strict=True))
         ]
         joints = joined([clip.joints for clip in clips], self.manifest.fps)
@@ -277,25 +276,31 @@ class MotionPipeline:
             Cancelled, NonFiniteError: as in `generate`.
         """
         what = checked_composing(concepts, method, text, lambdas, agd)
+        options = generate_options(
+            self.manifest, seconds=seconds, seed=seed, steps=steps, guidance=guidance, foot_fix=foot_fix
+        )
+        encoded, mixture, options = self._mixed(what, options, seconds is None)
+        caption = what.joint.caption if isinstance(what.joint, SemanticGraph) else what.joint
+        latent = self._denoisers(options, caption, on_level).composed(encoded, mixture, options, on_step)
+        return self._clips(latent, [options], [caption])[0]
+
+    def _mixed(
+        self, what: Composing, options: GenerateOptions, own_length: bool
+    ) -> tuple[Conditions, Mixture, GenerateOptions]:
+        """What is composed, encoded; `own_length` asks the concepts for the length."""
         if any(what.agd) and not self._sessions.step_agd:
             raise InvalidInputError(
                 f"bundle {self.manifest.name} {self.manifest.version} has no graphs for adaptive gradient descent: "
                 "leave agd out, or export the bundle again with this kinegraph"
             )
-        options = generate_options(
-            self.manifest, seconds=seconds, seed=seed, steps=steps, guidance=guidance, foot_fix=foot_fix
-        )
         graphs = [text if isinstance(text, SemanticGraph) else self.parse(text) for text, _ in what.parts]
         terms = [edge_terms(graph) for graph in graphs]
         arrays = [[self._arrays(term) for term, _ in own] for own in terms]
-        if seconds is None:
+        if own_length:
             wanted = [own[0] for own, concept in zip(arrays, what.concepts, strict=False) if concept.weight > 0]
             options = with_own_length(options, self._tables.get(DURATION), self.manifest, wanted)
         encoded = self._encode([each for own in arrays for each in own])
-        mixture = what.mixture([[part for _, part in own] for own in terms])
-        caption = what.joint.caption if isinstance(what.joint, SemanticGraph) else what.joint
-        latent = self._denoisers(options, caption, on_level).composed(encoded, mixture, options, on_step)
-        return self._clips(latent, [options], [caption])[0]
+        return encoded, what.mixture([[part for _, part in own] for own in terms]), options
 
     def _denoisers(self, options: GenerateOptions, caption: str, on_level: OnLevel | None) -> Denoisers:
         """The diffusion models, which tell `on_level` of every level that can be decoded."""
@@ -310,10 +315,8 @@ class MotionPipeline:
         self, latent: FloatArray, wishes: Sequence[GenerateOptions], captions: Sequence[str], level: str = LEVELS[-1]
     ) -> list[Clip]:
         """Latents (B, C, z) of a level as B clips."""
-        coarse = self._sessions.coarse_decoders.get(level)
-        decoder = self._sessions.decoder if coarse is None else coarse()
         frames, fps = [each.frames for each in wishes], self.manifest.fps
-        motions = decode(decoder, self.manifest, bones_of(self._tables), latent, frames)
+        motions = decode(self._sessions.decoder_of(level), self.manifest, bones_of(self._tables), latent, frames)
         bundle = f"{self.manifest.name} {self.manifest.version}"
         return [
             Clip(planted_feet(joints, fps) if each.foot_fix else joints, fps, each.seed, caption, bundle)

@@ -70,6 +70,11 @@ class Sessions:
         """All that are made at their first use."""
         return (*self.coarse_decoders.values(), *self.context_agd.values(), *self.step_agd.values())
 
+    def decoder_of(self, level: str) -> onnxruntime.InferenceSession:
+        """The decoder of a level that has one."""
+        coarse = self.coarse_decoders.get(level)
+        return self.decoder if coarse is None else coarse()
+
 
 def available_cpus() -> int:
     """CPUs this process may run on."""

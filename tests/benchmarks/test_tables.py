@@ -10,8 +10,9 @@ from typing import Any
 import pytest
 import tables
 
-NAMES = ["reconstruction", "behaviour", "evaluate", "masked_verbs", "edit_curves", "composition_settings", "sampling",
-         "compare", "latent_tokens"]  # fmt: skip
+NAMES = ["reconstruction", "behaviour", "foot_fix", "evaluate", "masked_verbs", "edit_curves", "composition_settings",
+         "sampling", "compare", "latent_tokens"]  # fmt: skip
+BROKEN = NAMES.index("masked_verbs") + 1
 
 
 @pytest.fixture
@@ -38,10 +39,10 @@ def call(monkeypatch: pytest.MonkeyPatch, folder: Path, *more: str) -> int:
 
 def test_a_stopped_page_goes_on(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, ran: list[list[str]]) -> None:
     assert call(monkeypatch, tmp_path) == 1
-    assert [Path(command[1]).stem for command in ran] == NAMES[:4]
+    assert [Path(command[1]).stem for command in ran] == NAMES[:BROKEN]
     (tmp_path / "masked_verbs.json").write_text("{}")
     assert call(monkeypatch, tmp_path) == 0
-    assert [Path(command[1]).stem for command in ran[4:]] == NAMES[4:]
+    assert [Path(command[1]).stem for command in ran[BROKEN:]] == NAMES[BROKEN:]
     assert call(monkeypatch, tmp_path) == 0 and len(ran) == len(NAMES)
     page = (tmp_path / "README.md").read_text()
     order = [page.index(f"table of {name} |") for name in NAMES if name != "masked_verbs"]
@@ -53,7 +54,7 @@ def test_every_script_is_there_and_knows_its_arguments(
 ) -> None:
     (tmp_path / "masked_verbs.json").write_text("{}")
     assert call(monkeypatch, tmp_path, "--compare-steps", "0") == 0
-    assert {Path(command[1]).stem for command in ran} == {*NAMES[:3], "edit_curves", "composition_settings", "sampling"}
+    assert {Path(command[1]).stem for command in ran} == {*NAMES[:-2]} - {"masked_verbs"}
     assert call(monkeypatch, tmp_path) == 0
     assert [Path(command[1]).stem for command in ran[-2:]] == NAMES[-2:]
     for command in ran:

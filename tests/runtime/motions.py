@@ -1,5 +1,5 @@
 """Motion for tests: a stick figure that walks, made with matrices only; recorded clips where they are at
-hand."""
+hand; how solved joints turn."""
 
 from __future__ import annotations
 
@@ -8,6 +8,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+
+from kinegraph.motion.quaternions import between, multiply, normalised
+from kinegraph.motion.rotations import CHILDREN, solve_rotations
+from kinegraph.motion.skeleton import PARENTS
 
 SHARED = Path(__file__).resolve().parents[3] / "shared"
 
@@ -95,9 +99,31 @@ def walk(frames: int = 60, *, turning: float = 0.0, heading: float = 0.0, speed:
     return joints.astype(np.float32)
 
 
-def recorded(source: str = "bandai", count: int | None = None) -> list[np.ndarray]:
-    """Recorded clips (frames, 22, 3) as the data has them; the test is skipped where they are not at hand."""
-    path = SHARED / "data" / source / "val.npz"
+def world_turns(joints: np.ndarray) -> np.ndarray:
+    """(frames, 22, 4) solved turns of every joint in the world."""
+    turns = np.array(solve_rotations(joints).rotations)
+    for joint in range(1, len(PARENTS)):
+        turns[:, joint] = multiply(turns[:, PARENTS[joint]], turns[:, joint])
+    return turns
+
+
+def largest_twist(joints: np.ndarray) -> float:
+    """Degrees by which a limb turns about its own length from one frame to the next, at most: what is left of a joint's
+    turn when the shortest turn that moves its bone is taken away."""
+    turns, largest = world_turns(joints), 0.0
+    for joint, children in enumerate(CHILDREN):
+        if len(children) == 1:
+            bone = normalised((joints[:, children[0]] - joints[:, joint]).astype(np.float64))
+            swung = multiply(between(bone[:-1], bone[1:]), turns[:-1, joint])
+            cosine = np.abs((turns[1:, joint] * swung).sum(-1))
+            largest = max(largest, float(np.degrees(2 * np.arccos(cosine.clip(0, 1))).max()))
+    return largest
+
+
+def recorded(source: str = "bandai", count: int | None = None, split: str = "val") -> list[np.ndarray]:
+    """Recorded clips (frames, 22, 3) as the data has them, about `count` spread over the split; the test is skipped
+    where they are not at hand."""
+    path = SHARED / "data" / source / f"{split}.npz"
     if not path.is_file():
         pytest.skip("recorded motion (../shared/data) is not at hand")
     with np.load(path, allow_pickle=False) as pack:

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from motions import recorded, walk
 
-from kinegraph.motion.feet import FURTHEST, SIDES, contacts, planted_feet, two_bones
+from kinegraph.motion.feet import FURTHEST, PER_JERK, RAMP, SIDES, _shifts, contacts, planted_feet, two_bones
 from kinegraph.motion.skeleton import JOINT_INDEX, bone_lengths
 
 FPS = 20.0
@@ -51,6 +51,51 @@ def test_recorded_feet_slide_less_and_nothing_else_changes() -> None:
         found = [bool(contacts(joints[:, toe].astype(np.float64), FPS)) for toe in TOES]
         if any(found):
             assert slides(fixed, joints) <= slides(joints, joints) + 1e-6
+
+
+def stepping() -> np.ndarray:
+    """(60, 3): a toe that drifts while it stands, steps, and drifts again."""
+    toe = np.zeros((60, 3))
+    toe[:22, 2] = np.linspace(0.0, 0.05, 22)
+    toe[22:34, 2] = 0.05 + 0.8 * (0.5 - 0.5 * np.cos(np.linspace(0.0, np.pi, 12)))
+    toe[34:, 2] = np.linspace(0.85, 0.9, 26)
+    toe[22:34, 1] = 0.1 * np.sin(np.linspace(0.0, np.pi, 12))
+    toe[:, 0] = 0.01 * np.sin(np.arange(60) / 5)
+    return toe
+
+
+def test_beside_a_contact_the_toe_takes_the_path_of_least_jerk() -> None:
+    toe = stepping()
+    shift = _shifts(toe, FPS)
+    held, ramp = contacts(toe, FPS), round(RAMP * FPS)
+    assert len(held) == 2
+    for start, end in held:
+        np.testing.assert_allclose(np.diff((toe + shift)[start:end, [0, 2]], axis=0), 0.0, atol=1e-12)
+    near = {frame for start, end in held for frame in range(start - ramp, end + ramp)}
+    free = sorted(near & set(range(60)) - {frame for start, end in held for frame in range(start, end)})
+    assert free and not shift[sorted(set(range(60)) - near)].any() and not shift[:, 1].any()
+
+    def cost(correction: np.ndarray) -> float:
+        x = np.concatenate([toe[:, [0, 2]] + correction[:, [0, 2]]])
+        third = (x[3:] - 3 * x[2:-1] + 3 * x[1:-2] - x[:-3]) * FPS**3
+        return float((third**2).sum() + (correction[free] ** 2).sum() / PER_JERK**2)
+
+    rng = np.random.default_rng(0)
+    for size in (1e-2, 1e-3, 1e-4):
+        for _ in range(50):
+            other = shift.copy()
+            other[np.ix_(free, [0, 2])] += size * rng.normal(size=(len(free), 2))
+            assert cost(other) > cost(shift)
+
+
+def test_recorded_legs_jerk_no_more_than_before() -> None:
+    ratios = [jerk(planted_feet(joints, FPS)) / jerk(joints) for joints in recorded(count=30)]
+    assert np.mean(ratios) <= 1.0
+
+
+def jerk(joints: np.ndarray) -> float:
+    legs = [joint for side in SIDES for joint in side[1:]]
+    return float(np.linalg.norm(np.diff(joints[:, legs].astype(np.float64), n=3, axis=0), axis=-1).mean())
 
 
 def test_a_contact_is_slow_low_and_long_enough() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 import time
 from pathlib import Path
@@ -127,6 +128,37 @@ def test_npz_holds_what_it_should(tmp_path: Path) -> None:
         assert tuple(pack["joint_names"]) == JOINT_NAMES
 
 
+def test_json_holds_the_clip_and_a_skeleton_that_turns_into_it() -> None:
+    joints, text = walk(30, turning=0.05), "ein Mensch geht – 歩く"
+    found = json.loads(encode(clip(joints, fps=29.97, text=text), ".json"))
+    about = {name: found[name] for name in ("text", "seed", "bundle", "fps")}
+    assert about == {"text": text, "seed": str(2**40), "bundle": "edge 1.2", "fps": 29.97}
+    assert tuple(found["joint_names"]) == JOINT_NAMES and tuple(found["parents"]) == PARENTS
+    np.testing.assert_allclose(found["joints"], joints, atol=1e-5)
+    # played by the textbook: each joint is its parent's place and its offset, turned by all joints above it
+    for frame in (0, 13, 29):
+        places: list[np.ndarray] = []
+        axes: list[np.ndarray] = []
+        for joint, parent in enumerate(found["parents"]):
+            own = rotation_matrix(*found["rotations"][frame][joint])
+            offset = np.array(found["rest_offsets"][joint])
+            root = np.array(found["joints"][frame][0])
+            places.append(root if parent < 0 else places[parent] + axes[parent] @ offset)
+            axes.append(own if parent < 0 else axes[parent] @ own)
+        assert np.linalg.norm(np.array(places) - joints[frame], axis=-1).max() < 1e-3
+
+
+def rotation_matrix(w: float, x: float, y: float, z: float) -> np.ndarray:
+    """Rodrigues: I + 2 w [v] + 2 [v]^2."""
+    cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+    return np.eye(3) + 2 * w * cross + 2 * cross @ cross
+
+
+def test_json_of_odd_text_is_still_json() -> None:
+    data = encode(clip(walk(2), text='a "quote", \\ and \ud800'), ".json")
+    assert json.loads(data.decode())["text"].startswith('a "quote", \\ and ')
+
+
 @pytest.mark.parametrize("text", ["a person walks", "", "  two\nlines ", "👋"])
 def test_npz_comes_back(tmp_path: Path, text: str) -> None:
     saved = clip(walk(3), fps=29.97, text=text)
@@ -136,7 +168,7 @@ def test_npz_comes_back(tmp_path: Path, text: str) -> None:
     assert (back.fps, back.seed, back.text, back.bundle) == (29.97, 2**40, text, "edge 1.2")
 
 
-@pytest.mark.parametrize("suffix", [".npz", ".bvh"])
+@pytest.mark.parametrize("suffix", [".npz", ".bvh", ".json"])
 def test_equal_clips_give_equal_bytes_at_any_time(monkeypatch: pytest.MonkeyPatch, suffix: str) -> None:
     first = encode(clip(walk(20)), suffix)
     later = time.time() + 1e7

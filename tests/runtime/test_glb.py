@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 from cli_runs import fails
 from motions import recorded, walk
+from readers import GlbReader, bvh_joints
 
 from kinegraph.errors import InvalidInputError
 from kinegraph.formats import encode
@@ -21,10 +22,7 @@ from kinegraph.formats.body import rest_body
 from kinegraph.formats.joint_names import CONVENTIONS
 from kinegraph.motion.clip import Clip
 from kinegraph.motion.rotations import rest_offsets
-from kinegraph.motion.skeleton import JOINT_NAMES, JOINTS, PARENTS
-
-DTYPES = {5126: np.float32, 5121: np.uint8, 5123: np.uint16}
-WIDTHS = {"SCALAR": 1, "VEC3": 3, "VEC4": 4, "MAT4": 16}
+from kinegraph.motion.skeleton import JOINTS, PARENTS
 
 
 def clip(joints: np.ndarray, text: str = "a person walks") -> Clip:
@@ -35,66 +33,11 @@ def motions() -> list[np.ndarray]:
     return [walk(50, turning=0.05), *recorded(count=3)]
 
 
-def matrix(translation: np.ndarray, rotation: np.ndarray) -> np.ndarray:
-    """Of a node, from its x, y, z, w quaternion, by the textbook formula."""
-    x, y, z, w = (float(value) for value in rotation)
-    found = np.eye(4)
-    found[:3, :3] = [
-        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-    ]
-    found[:3, 3] = translation
-    return found
-
-
-class Reader:
-    """A GLB as pygltflib sees it, played by the rules of the glTF specification."""
-
-    def __init__(self, data: bytes, folder: Path) -> None:
-        pygltflib = pytest.importorskip("pygltflib")
-        (folder / "clip.glb").write_bytes(data)
-        self.file = pygltflib.GLTF2().load(str(folder / "clip.glb"))
-        self._blob = self.file.binary_blob()
-
-    def array(self, number: int) -> np.ndarray:
-        accessor = self.file.accessors[number]
-        view = self.file.bufferViews[accessor.bufferView]
-        width = WIDTHS[accessor.type]
-        dtype = DTYPES[accessor.componentType]
-        return np.frombuffer(self._blob, dtype, accessor.count * width, view.byteOffset).reshape(accessor.count, width)
-
-    def places(self, frame: int | None) -> dict[int, np.ndarray]:
-        """World matrix of every node at a key, or at rest."""
-        tracks: dict[tuple[int, str], np.ndarray] = {}
-        for channel in self.file.animations[0].channels:
-            sampler = self.file.animations[0].samplers[channel.sampler]
-            tracks[channel.target.node, channel.target.path] = self.array(sampler.output)
-        found: dict[int, np.ndarray] = {}
-
-        def visit(number: int, above: np.ndarray) -> None:
-            node = self.file.nodes[number]
-            own = {"translation": node.translation or [0, 0, 0], "rotation": node.rotation or [0, 0, 0, 1]}
-            for path in own:
-                if frame is not None and (number, path) in tracks:
-                    own[path] = tracks[number, path][frame]
-            found[number] = above @ matrix(own["translation"], own["rotation"])
-            for child in node.children or []:
-                visit(child, found[number])
-
-        for root in self.file.scenes[0].nodes:
-            visit(root, np.eye(4))
-        return found
-
-
 def test_a_reader_of_glb_finds_the_joints_of_the_clip(tmp_path: Path) -> None:
     for joints in motions():
-        reader = Reader(encode(clip(joints), ".glb"), tmp_path)
-        skin = reader.file.skins[0]
+        reader = GlbReader(encode(clip(joints), ".glb"), tmp_path)
         for frame in (0, len(joints) // 2, len(joints) - 1):
-            world = reader.places(frame)
-            seen = np.stack([world[node][:3, 3] for node in skin.joints])
-            error = np.linalg.norm(seen - joints[frame], axis=-1)
+            error = np.linalg.norm(reader.joints(frame) - joints[frame], axis=-1)
             assert error.mean() < 0.005 and error.max() < 0.015
         times = reader.array(reader.file.animations[0].samplers[0].input)[:, 0]
         np.testing.assert_allclose(times, np.arange(len(joints)) / 20.0, atol=1e-5)
@@ -102,7 +45,7 @@ def test_a_reader_of_glb_finds_the_joints_of_the_clip(tmp_path: Path) -> None:
 
 def test_the_skin_leaves_the_rest_pose_as_it_is_and_carries_the_body_along(tmp_path: Path) -> None:
     joints = walk(40)
-    reader = Reader(encode(clip(joints), ".glb"), tmp_path)
+    reader = GlbReader(encode(clip(joints), ".glb"), tmp_path)
     part = reader.file.meshes[0].primitives[0].attributes
     positions, carried = reader.array(part.POSITION), reader.array(part.JOINTS_0)
     weights = reader.array(part.WEIGHTS_0)
@@ -123,7 +66,7 @@ def test_the_skin_leaves_the_rest_pose_as_it_is_and_carries_the_body_along(tmp_p
 def test_the_file_says_where_it_comes_from_and_names_its_joints(tmp_path: Path) -> None:
     text = "Ein Mensch geht „schnell“ 走る"
     for names, expected in CONVENTIONS.items():
-        reader = Reader(encode(clip(walk(20), text), ".glb", names), tmp_path)
+        reader = GlbReader(encode(clip(walk(20), text), ".glb", names), tmp_path)
         assert tuple(node.name for node in reader.file.nodes[:JOINTS]) == expected
         assert reader.file.asset.extras == {"text": text, "seed": str(2**40), "bundle": "edge 1.2", "fps": 20.0}
     assert len({name for names in CONVENTIONS.values() for name in names}) == JOINTS * len(CONVENTIONS)
@@ -172,13 +115,10 @@ def test_the_validator_of_the_standard_finds_no_fault(tmp_path: Path) -> None:
 
 
 def test_a_reader_of_bvh_finds_the_joints_of_the_clip(tmp_path: Path) -> None:
-    pybvh = pytest.importorskip("pybvh")
     for joints in motions():
         (tmp_path / "clip.bvh").write_bytes(encode(clip(joints), ".bvh", "smpl"))
-        found = pybvh.read_bvh_file(str(tmp_path / "clip.bvh"))
-        assert found.fps == pytest.approx(20.0)
-        order = [list(found.joint_names).index(name) for name in JOINT_NAMES]
-        seen = np.asarray(found.joint_positions())[:, order] / 100.0
+        seen, fps = bvh_joints(tmp_path / "clip.bvh")
+        assert fps == pytest.approx(20.0)
         error = np.linalg.norm(seen - joints, axis=-1)
         assert error.mean() < 0.005 and error.max() < 0.015
 

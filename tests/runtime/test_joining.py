@@ -11,7 +11,7 @@ import pytest
 from cli_runs import fails
 from motions import recorded, walk
 
-from kinegraph import InvalidInputError, MotionPipeline, cli
+from kinegraph import Cancelled, InvalidInputError, MotionPipeline, cli
 from kinegraph.bundle import DEFAULT_BUNDLE
 from kinegraph.motion.joining import best_join, joined
 from kinegraph.motion.skeleton import bone_lengths, facing_angle
@@ -80,6 +80,18 @@ def test_a_sequence_of_sentences() -> None:
     np.testing.assert_array_equal(clip.joints, pipe.sequence(texts, seconds=[2, 2, 3], **FEW).joints)
     single = pipe.sequence(texts[:1], seconds=2, **FEW)
     np.testing.assert_array_equal(single.joints, pipe.generate(texts[0], seconds=2, **FEW).joints)
+
+
+@needs_default
+def test_progress_of_a_sequence_goes_once_from_start_to_end_and_can_stop() -> None:
+    pytest.importorskip("spacy")
+    pipe = MotionPipeline.load(threads=1)
+    seen: list[tuple[int, int]] = []
+    texts = ["a person walks forward", "a person bows"]
+    pipe.sequence(texts, seconds=2, on_step=lambda info: seen.append((info.done, info.total)), **FEW)
+    assert seen == [(number, 20) for number in range(1, 21)]
+    with pytest.raises(Cancelled):
+        pipe.sequence(texts, seconds=2, on_step=lambda info: info.done < 13, **FEW)
 
 
 @needs_default

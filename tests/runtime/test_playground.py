@@ -348,8 +348,11 @@ def test_the_command_says_its_address_answers_and_ends_with_ctrl_c() -> None:
         assert line.startswith("http://127.0.0.1:"), process.communicate()
         own = Playing(int(line.split(":")[2].split("/")[0]))
         assert own.clip(WISH)[-1]["event"] == "clip"
-        process.send_signal(signal.SIGINT)
-        _, errors = process.communicate(timeout=20)
+        with own.events(LONG) as events:
+            while next(events)["event"] != "step":
+                pass
+            process.send_signal(signal.SIGINT)
+            _, errors = process.communicate(timeout=20)
         assert (process.returncode, errors) == (0, "")
     finally:
         process.kill()

@@ -29,6 +29,7 @@ from kinegraph_export.export_bundle import Card, export_bundle  # noqa: E402
 from kinegraph_export.recover import recover  # noqa: E402
 from kinegraph_training import train_denoisers, train_vae  # noqa: E402
 from kinegraph_training.data_writer import PreparedClip, write_data  # noqa: E402
+from kinegraph_training.latents import read_vae  # noqa: E402
 
 WEIGHTS = Path(__file__).parents[2] / "weights" / "edge"
 ASSETS = Path(kinegraph.__file__).parent / "bundles" / "default"
@@ -113,6 +114,15 @@ def test_curves_are_kept_as_a_table_and_a_picture(trained: Path) -> None:
 
 
 @pytest.fixture(scope="module")
+def vaes(trained: Path) -> Path:
+    folder = trained / "vaes"
+    folder.mkdir()
+    for level in LEVELS:
+        shutil.copyfile(trained / "run" / f"vae_{level}" / "last.ckpt", folder / f"vae_{level}.ckpt")
+    return folder
+
+
+@pytest.fixture(scope="module")
 def bundle(trained: Path) -> Path:
     export_bundle(trained / "run", ASSETS, CARD, trained / "bundle", "fp32")
     return trained / "bundle"
@@ -131,6 +141,28 @@ def test_the_bundle_makes_a_clip_and_states_its_parity(bundle: Path) -> None:
     assert graphs <= set(parity) and max(parity[name] for name in graphs) <= 1e-4
 
 
+def test_the_coarse_decoders_are_those_of_their_autoencoders(trained: Path, bundle: Path) -> None:
+    pipe = MotionPipeline.load(bundle, threads=1)
+    weights = torch.load(trained / "run" / "denoisers" / "last.ckpt", weights_only=True)["state_dict"]
+    rng = np.random.default_rng(0)
+    mask = np.ones((2, 48), dtype=np.float32)
+    for level in ("motion", "action"):
+        own = read_vae(trained / "run" / f"vae_{level}" / "last.ckpt")
+        spec = pipe.manifest.levels[level]
+        latent = rng.standard_normal((2, spec.tokens, spec.latent_width)).astype(np.float32)
+        decoder = pipe._sessions.coarse_decoders[level]()
+        (found,) = decoder.run(["features"], {"latent": latent, "frame_mask": mask})
+        plain = torch.from_numpy(latent) * weights[f"{level}_scale"] + weights[f"{level}_centre"]
+        with torch.no_grad():
+            features = own.vae.decode(plain, torch.from_numpy(mask)).numpy()
+        # in metres and radians, each under its own normalisation
+        mean, std = (np.array(part) for part in (pipe.manifest.features.mean, pipe.manifest.features.std))
+        np.testing.assert_allclose(found * std + mean, features * own.std + own.mean, atol=5e-3)
+    shown: list[str] = []
+    clip = pipe.generate("a person walks", seconds=2, seed=1, on_level=lambda name, coarse: shown.append(name))
+    assert shown == ["motion", "action"] and clip.frames == 40
+
+
 def test_the_same_run_gives_the_same_bundle(trained: Path, bundle: Path) -> None:
     # With the other base of guidance, so that the whole pipeline is held against torch for both.
     export_bundle(trained / "run", ASSETS, replace(CARD, guidance_base="empty"), trained / "again", "fp32")
@@ -145,8 +177,10 @@ def test_identities_hold_to_rounding_in_float32(bundle: Path) -> None:
     plain = pipe.generate(walk, seed=1, **few).joints
     clips = pipe.batch([walk, turn], takes=2, seconds=[2, 3], seed=1, foot_fix=False)
     alone = [pipe.generate(clip.text, seed=clip.seed, seconds=clip.duration, foot_fix=False) for clip in clips]
-    pairs = [(clip.joints, own.joints) for clip, own in zip(clips, alone, strict=True)]
-    pairs += [(pipe.compose([walk], method=how, seed=1, **few).joints, plain) for how in METHODS]
+    for clip, own in zip(clips, alone, strict=True):
+        # Padding changes roundings in the text encoder, whose int8 blocks can then fall on the other side.
+        np.testing.assert_allclose(clip.joints, own.joints, atol=1e-3)
+    pairs = [(pipe.compose([walk], method=how, seed=1, **few).joints, plain) for how in METHODS]
     both = [Concept(walk), Concept(turn, 0.7)]
     latent, semantic = (pipe.compose(both, method=how, seed=1, **few).joints for how in METHODS[:2])
     pairs.append((pipe.compose(both[::-1], method="latent", seed=1, **few).joints, latent))
@@ -160,7 +194,7 @@ def test_identities_hold_to_rounding_in_float32(bundle: Path) -> None:
     assert np.abs(latent - semantic).max() > 1e-3
 
 
-def test_an_int8_bundle_is_smaller_and_near(trained: Path, bundle: Path) -> None:
+def test_an_int8_bundle_is_smaller_and_near(trained: Path, bundle: Path, vaes: Path) -> None:
     manifest = export_bundle(trained / "run", ASSETS, CARD, trained / "int8", "int8")
     assert manifest.precision == "int8" and "int8" in manifest.provenance["numbers"]
     assert {f"int8_step_{level}" for level in LEVELS} <= manifest.parity.keys()
@@ -171,13 +205,17 @@ def test_an_int8_bundle_is_smaller_and_near(trained: Path, bundle: Path) -> None
         for folder in (trained / "int8", bundle)
     ]
     assert 1e-6 < np.linalg.norm(clips[0] - clips[1], axis=-1).mean() < 0.1
+    recover(trained / "int8", "tiny", vaes, trained / "recovered_int8")
+    own, back = (
+        torch.load(trained / run / "denoisers" / "last.ckpt", weights_only=True)["state_dict"]
+        for run in ("run", "recovered_int8")
+    )
+    for name in [name for name in own if name.startswith("hierarchy.")]:
+        # an int8 number is off by half a step of the largest weight's 127
+        assert (own[name] - back[name]).abs().max() <= own[name].abs().max() / 200, name
 
 
-def test_a_run_recovered_from_a_bundle_exports_the_same_graphs(trained: Path, bundle: Path) -> None:
-    vaes = trained / "vaes"
-    vaes.mkdir()
-    for level in LEVELS:
-        shutil.copyfile(trained / "run" / f"vae_{level}" / "last.ckpt", vaes / f"vae_{level}.ckpt")
+def test_a_run_recovered_from_a_bundle_exports_the_same_graphs(trained: Path, bundle: Path, vaes: Path) -> None:
     recover(bundle, "tiny", vaes, trained / "recovered")
     export_bundle(trained / "recovered", ASSETS, CARD, trained / "third", "fp32")
     files = json.loads((bundle / "manifest.json").read_bytes())["files"]
@@ -199,6 +237,22 @@ def test_denoisers_start_from_the_weights_of_others(trained: Path, tmp_path: Pat
         for path in (source, tmp_path / "run" / "denoisers" / "last.ckpt")
     )
     assert all(torch.equal(before[name], after[name]) for name in before if name.startswith("hierarchy."))
+
+
+def test_denoisers_train_on_further_folders(trained: Path, tmp_path: Path) -> None:
+    clip = PreparedClip(
+        "c", walk(52), ("a person walks and waves the left hand",), "composed", "train", "a+b", "normal"
+    )
+    write_data(tmp_path / "more", [clip], 20)
+    (tmp_path / "data").symlink_to(trained / "data")
+    for level in LEVELS:
+        shutil.copytree(trained / "run" / f"vae_{level}", tmp_path / "run" / f"vae_{level}")
+    more = ["--more", str(tmp_path / "more"), "--max_steps", "1", "--val_check_interval", "1"]
+    stage(train_denoisers, tmp_path, "--assets", str(ASSETS), *more)
+    assert steps_of(tmp_path / "run" / "denoisers" / "last.ckpt") == 1
+    with np.load(tmp_path / "run" / "captions.npz", allow_pickle=False) as known:
+        captions = known["captions"].tolist()
+    assert {f"a person walks and waves the {side} hand" for side in ("left", "right")} <= set(captions)
 
 
 def test_other_folders_are_not_overwritten(trained: Path) -> None:

@@ -92,7 +92,7 @@ export function openPlayground(side, play, stage, transport) {
     fail(null);
     busy(true);
     say("Asking", 0);
-    let drawn = false;
+    let [drawn, complete] = [false, false];
     try {
       for await (const event of api.clip(asked, own.signal)) {
         if (own.signal.aborted) return;
@@ -105,11 +105,15 @@ export function openPlayground(side, play, stage, transport) {
           drawn = true;
         }
         if (event.event === "clip") {
+          complete = true;
           last = { ...asked, seed: event.clip.seed };
+          // a hidden tab draws nothing, and would wait for ever
+          if (!document.hidden) await new Promise(requestAnimationFrame);
           result.show(event, last, performance.now() - pressed);
           document.documentElement.dataset.made = Number(document.documentElement.dataset.made ?? 0) + 1;
         }
       }
+      if (!complete) throw new Error("The server ended before the clip was done.");
     } catch (error) {
       if (error.name !== "AbortError") fail(error);
     } finally {
@@ -150,7 +154,7 @@ export function openPlayground(side, play, stage, transport) {
     stage.show([shown]);
     busy(false);
   });
-  at(".new-seed").addEventListener("click", () => (field.seed.value = last?.seed ?? ""));
+  at(".keep-seed").addEventListener("click", () => (field.seed.value = last?.seed ?? ""));
   for (const radio of field.mode) radio.addEventListener("change", switchMode);
 
   field.guidance.placeholder = Object.values(play.guidance).join(", ");

@@ -4,7 +4,7 @@ sees the final latent of the level above."""
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -54,6 +54,13 @@ OnStep = Callable[[StepInfo], bool | None]
 
 OnLatent = Callable[[str, FloatArray], None]
 """Called after every level with its name and its final latent (B, C, z)."""
+
+
+def part_of(on_step: OnStep | None, place: int, parts: int) -> OnStep | None:
+    """The callback of run `place` of several alike, told where all of them stand together."""
+    if on_step is None:
+        return None
+    return lambda info: on_step(replace(info, done=place * info.total + info.done, total=parts * info.total))
 
 
 def initial_noise(seed: int, plans: Sequence[LevelPlan]) -> tuple[FloatArray, ...]:

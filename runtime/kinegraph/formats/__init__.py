@@ -19,6 +19,8 @@ WRITERS: Final[dict[str, str]] = {
     ".gif": "kinegraph.formats.gif",
     ".glb": "kinegraph.formats.glb",
     ".html": "kinegraph.formats.html",
+    ".json": "kinegraph.formats.json_text",
+    ".mp4": "kinegraph.formats.mp4",
     ".npz": "kinegraph.formats.npz",
     ".png": "kinegraph.formats.png",
 }
@@ -27,16 +29,15 @@ WRITERS: Final[dict[str, str]] = {
 NAMED: Final = frozenset((".bvh", ".glb"))
 """Formats whose joints are named by convention."""
 
-_NEEDS: Final[dict[str, tuple[str, str]]] = {".gif": ("PIL", "plot"), ".png": ("matplotlib", "plot")}
-"""Suffix -> package beyond numpy that its writer needs, and the extra that installs it."""
+_NEEDS: Final[dict[str, tuple[str, ...]]] = {".gif": ("PIL",), ".mp4": ("PIL", "av"), ".png": ("matplotlib",)}
+"""Suffix -> packages beyond numpy that its writer needs; the extra `plot` installs them."""
 
 
 def check_installed(suffix: str) -> None:
     """Raise MissingExtraError where a format's package is not installed; nothing is imported."""
-    if suffix in _NEEDS:
-        package, extra = _NEEDS[suffix]
+    for package in _NEEDS.get(suffix, ()):
         if find_spec(package) is None:
-            raise MissingExtraError(f'{suffix} files need {package}: pip install "kinegraph[{extra}]"')
+            raise MissingExtraError(f'{suffix} files need {package}: pip install "kinegraph[plot]"')
 
 
 def encode(clip: Clip, suffix: str, names: str = DEFAULT_NAMES) -> bytes:

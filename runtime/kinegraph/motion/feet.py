@@ -26,6 +26,9 @@ SHORTEST_STAND: Final = 0.15
 """Seconds; a shorter contact is a swinging foot that happens to be slow."""
 RAMP: Final = 0.2
 """Seconds in which a correction comes and goes beside a contact."""
+PER_JERK: Final = 6e-5
+"""Metres of correction beside a contact that count as much as a jerk of 1 m/s^3."""
+_OVER_FLOOR: Final = np.array([1.0, 0.0, 1.0])
 FURTHEST: Final = 0.08
 """Metres: a foot that is further from where it would stand is meant to move."""
 STRETCHED: Final = 0.999
@@ -35,8 +38,8 @@ STRETCHED: Final = 0.999
 def planted_feet(joints: FloatArray, fps: float) -> FloatArray:
     """The nearby motion whose standing toes do not slide.
 
-    While a foot stands, its toe is held where it was on average; beside a contact the correction fades. The whole foot
-    moves with its toe, the knee bends in its own plane, and all bones keep their length.
+    While a foot stands, its toe is held where it was on average; beside a contact it takes the path of least jerk. The
+    whole foot moves with its toe, the knee bends in its own plane, and all bones keep their length.
 
     Args:
         joints: (frames, 22, 3) metres, Y up.
@@ -62,9 +65,7 @@ def contacts(toe: Floats, fps: float) -> list[tuple[int, int]]:
         return []
     speed = np.linalg.norm(np.gradient(toe[:, [0, 2]], axis=0), axis=-1) * fps
     down = (speed < STANDS) & (toe[:, 1] < np.quantile(toe[:, 1], 0.1) + LOW)
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], down, [False]]).astype(int)))
-    runs = zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True)
-    return [(start, end) for start, end in runs if end - start >= SHORTEST_STAND * fps]
+    return [(start, end) for start, end in _runs(down) if end - start >= SHORTEST_STAND * fps]
 
 
 def two_bones(hip: Floats, knee: Floats, ankle: Floats, goal: Floats) -> tuple[Floats, Floats]:
@@ -87,22 +88,31 @@ def two_bones(hip: Floats, knee: Floats, ankle: Floats, goal: Floats) -> tuple[F
 
 
 def _shifts(toe: Floats, fps: float) -> Floats:
-    """(frames, 3) over the floor: what holds a toe in its contacts, fading beside them."""
+    """(frames, 3) over the floor: what holds a toe in its contacts, and leads it there and away beside them.
+
+    Beside a contact the correction s minimises sum |D^3 (toe + s)|^2 + (s / `PER_JERK`)^2, with D^3 the third
+    derivative: the path of least jerk (Flash & Hogan, 1985, Eq. 1), kept near to the one that was there.
+    """
     runs = contacts(toe, fps)
-    shift, weight = np.zeros_like(toe), np.zeros(len(toe))
+    shift, free = np.zeros_like(toe), np.zeros(len(toe), dtype=bool)
     ramp = max(1, round(RAMP * fps))
     for start, end in runs:
-        place = np.median(toe[start:end], axis=0)
-        own = place - toe[start:end]
-        own[:, 1] = 0.0
-        own *= np.minimum(1.0, FURTHEST / np.maximum(np.linalg.norm(own, axis=-1, keepdims=True), 1e-9))
-        shift[start:end] = own
-        weight[start:end] = 1.0
-        for step in range(1, ramp + 1):
-            fade = 0.5 + 0.5 * np.cos(np.pi * step / (ramp + 1))
-            for place_in_time, edge in ((start - step, own[0]), (end - 1 + step, own[-1])):
-                if 0 <= place_in_time < len(toe) and weight[place_in_time] < fade:
-                    # between two contacts the nearer one counts
-                    shift[place_in_time] = fade * edge
-                    weight[place_in_time] = fade
+        free[max(0, start - ramp) : end + ramp] = True
+        own = (np.median(toe[start:end], axis=0) - toe[start:end]) * _OVER_FLOOR
+        shift[start:end] = own * np.minimum(1.0, FURTHEST / np.maximum(np.linalg.norm(own, axis=-1), 1e-9))[:, None]
+    for start, end in runs:
+        free[start:end] = False
+    for start, end in _runs(free):
+        # three frames on each side see the same third derivatives
+        first, last = max(0, start - 3), min(len(toe), end + 3)
+        third = np.diff(np.eye(last - first), n=3, axis=0) * fps**3
+        unknown = third[:, start - first : end - first]
+        jerk = third @ (toe[first:last] * _OVER_FLOOR + shift[first:last])
+        shift[start:end] = -np.linalg.solve(unknown.T @ unknown + np.eye(end - start) / PER_JERK**2, unknown.T @ jerk)
     return shift
+
+
+def _runs(down: NDArray[np.bool_]) -> list[tuple[int, int]]:
+    """First and last frame + 1 of every stretch of True."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], down, [False]]).astype(int)))
+    return list(zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True))

@@ -43,7 +43,7 @@ def serve(pipeline: MotionPipeline, listener: socket.socket, on_start: Callable[
     """Serve until interrupted; `on_start` is told the address once it answers."""
     port = listener.getsockname()[1]
     server = Server(Playground(pipeline), port)
-    threading.Thread(target=warm_up, args=(pipeline,), daemon=True).start()
+    warm_up(pipeline)
     on_start(f"http://{ADDRESS}:{port}/")
     server.run(sockets=[listener])
 

@@ -1,0 +1,23 @@
+"""A progress line, and a stop: `on_step` is called after every diffusion step, and returning False ends the run."""
+
+import time
+
+from kinegraph import Cancelled, MotionPipeline, StepInfo
+
+pipe = MotionPipeline.load(threads=2)
+
+
+def show(step: StepInfo) -> bool:
+    print(f"\r{100 * step.done // step.total:3} %, {step.level} {step.step} of {step.steps} ", end="", flush=True)
+    return True
+
+
+clip = pipe.generate("a person bows", seconds=3, seed=1, on_step=show)
+print(f"\r{clip.duration:g} seconds of motion".ljust(50))
+
+deadline = time.monotonic() + 0.02
+try:
+    pipe.generate("a person runs", seconds=9, seed=1, on_step=lambda step: time.monotonic() < deadline)
+    print("done in time")
+except Cancelled as stopped:
+    print(f"out of time: {stopped}")

@@ -1,0 +1,6 @@
+"""What PyInstaller cannot see: the default bundle, the parts of pages, and modules that are imported by name."""
+
+from PyInstaller.utils.hooks import collect_data_files, collect_submodules
+
+datas = collect_data_files("kinegraph", subdir="bundles") + collect_data_files("kinegraph", subdir="viewer")
+hiddenimports = collect_submodules("kinegraph.formats")

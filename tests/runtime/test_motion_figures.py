@@ -1,0 +1,118 @@
+"""The promised figures of motion, measured on recorded clips and on clips of the default bundle; see the summary."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from motions import largest_twist, recorded
+
+from kinegraph import MotionPipeline
+from kinegraph.bundle import DEFAULT_BUNDLE
+from kinegraph.motion.joining import BLEND_SECONDS, best_join
+from kinegraph.motion.rotations import forward_kinematics, solve_rotations
+from kinegraph.motion.skeleton import bone_lengths
+
+MEAN_MM, MAX_MM = 5.0, 15.0
+"""Between joints and the skeleton that is solved from them."""
+NO_FLIP = 45.0
+"""Degrees by which a limb may turn about its own length from frame to frame; one that flips makes 180."""
+JOIN = 2.0
+"""Acceleration at a join, in 95th percentiles of the clips that are joined."""
+FPS = 20.0
+
+needs_default = pytest.mark.skipif(not (DEFAULT_BUNDLE / "manifest.json").is_file(), reason="no default bundle")
+
+SENTENCES = (
+    "a person walks forward", "a person runs", "a person walks and turns to the left", "a person bows",
+    "a person turns right and walks in a feminine way", "a person waves the right hand", "a person raises both hands",
+    "an old person walks", "a person dashes", "a person walks backward", "a tired person walks",
+    "a person walks forward while waving the left hand", "a person shows the way", "a person waves goodbye",
+    "a person walks sideways", "a masculine person raises the left hand", "a youthful person runs and turns left",
+    "an angry person walks", "a person walks, then bows", "a person runs in a childish way",
+)  # fmt: skip
+PAIRS = (
+    ("a person walks forward", "a person turns left"), ("a person turns left", "a person bows"),
+    ("a person runs", "a person walks"), ("a person bows", "a person walks forward"),
+    ("a person walks backward", "a person runs"), ("a person raises both hands", "a person walks and turns right"),
+    ("an old person walks", "a youthful person runs"), ("a person walks forward", "a person waves the right hand"),
+)  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def pipe() -> MotionPipeline:
+    pytest.importorskip("spacy")
+    return MotionPipeline.load(threads=1)
+
+
+def check_rotations(clips: list[np.ndarray], name: str, figure: Callable[[str], None]) -> None:
+    errors = []
+    for joints in clips:
+        motion = solve_rotations(joints)
+        places = forward_kinematics(motion.rest_offsets, motion.root, motion.rotations)
+        errors.append(np.linalg.norm(places - joints, axis=-1).ravel() * 1000)
+    twist = max(map(largest_twist, clips))
+    found = np.concatenate(errors)
+    figure(
+        f"rotations of {len(clips)} {name} clips: joints off by {found.mean():.2f} mm mean (limit {MEAN_MM:g}), "
+        f"{found.max():.1f} mm max (limit {MAX_MM:g}); largest twist {twist:.0f} degrees per frame (limit {NO_FLIP:g})"
+    )
+    assert found.mean() < MEAN_MM and found.max() < MAX_MM and twist < NO_FLIP
+
+
+def test_rotations_of_200_recorded_clips(figure: Callable[[str], None]) -> None:
+    clips = recorded(count=200, split="train")[:200]
+    assert len(clips) == 200
+    check_rotations(clips, "recorded", figure)
+
+
+@needs_default
+def test_rotations_of_200_generated_clips(pipe: MotionPipeline, figure: Callable[[str], None]) -> None:
+    clips = [clip.joints for place, text in enumerate(SENTENCES) for clip in pipe.takes(text, 10, seed=100 * place)]
+    assert len(clips) == 200
+    check_rotations(clips, "generated", figure)
+
+
+def accelerations(joints: np.ndarray) -> np.ndarray:
+    """(frames - 2,) of the joint that is accelerated most, m/s^2; number k is about frame k + 1."""
+    return np.linalg.norm(np.diff(joints.astype(np.float64), n=2, axis=0), axis=-1).max(axis=1) * FPS**2
+
+
+@needs_default
+def test_joins_of_generated_sequences(pipe: MotionPipeline, figure: Callable[[str], None]) -> None:
+    ratios, twists, bones = [], [], []
+    for texts in PAIRS:
+        for seed in (1, 2, 3):
+            joined = pipe.sequence(texts, seconds=3, seed=seed).joints
+            first, second = (pipe.generate(text, seconds=3, seed=seed + k).joints for k, text in enumerate(texts))
+            window = round(BLEND_SECONDS * FPS)
+            start, _ = best_join(first, second, window, FPS)
+            own = np.quantile(np.concatenate([accelerations(first), accelerations(second)]), 0.95)
+            ratios.append(accelerations(joined)[max(0, start - 2) : start + window].max() / own)
+            twists.append(largest_twist(joined))
+            bones.append(np.ptp(bone_lengths(joined), axis=0).max() * 1000)
+    figure(
+        f"{len(ratios)} joins of generated sequences: acceleration {max(ratios):.2f} times the 95th percentile of "
+        f"their clips at most, {np.mean(ratios):.2f} on average (limit {JOIN:g}); largest twist {max(twists):.0f} "
+        f"degrees per frame (limit {NO_FLIP:g}); bones change by {max(bones):.3f} mm"
+    )
+    assert max(ratios) <= JOIN and max(twists) < NO_FLIP and max(bones) < 1.0
+
+
+@needs_default
+def test_a_sequence_of_three_is_nowhere_jerkier_than_its_parts(
+    pipe: MotionPipeline, figure: Callable[[str], None]
+) -> None:
+    texts, seconds = ["a person walks forward", "a person turns left", "a person bows"], [3, 2, 3]
+    worst = []
+    for seed in range(1, 6):
+        joined = pipe.sequence(texts, seconds=seconds, seed=seed).joints
+        parts = [
+            accelerations(pipe.generate(text, seconds=length, seed=seed + k).joints)
+            for k, (text, length) in enumerate(zip(texts, seconds, strict=True))
+        ]
+        limit = max(JOIN * np.quantile(np.concatenate(parts), 0.95), *(part.max() for part in parts))
+        worst.append(accelerations(joined).max() / limit)
+    figure(f"5 sequences of three: acceleration anywhere {max(worst):.2f} of what their parts allow (limit 1)")
+    assert max(worst) <= 1.0
