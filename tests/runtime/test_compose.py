@@ -85,14 +85,14 @@ def test_a_negation_beside_one_concept_is_the_same_for_all_lambdas(
     # One concept of weight 1 is plain guidance whatever the lambdas, and Eq. 8 stands beside them.
     concepts = [Concept(WALK), Concept("a person runs", -1.0)]
     latent = pipe.compose(concepts, method="latent", **FEW).joints
-    np.testing.assert_allclose(pipe.compose(concepts, lambdas=lambdas, **FEW).joints, latent, atol=1e-4)
+    assert_same_motion(pipe, pipe.compose(concepts, lambdas=lambdas, **FEW).joints, latent)
     assert not np.allclose(latent, pipe.generate(WALK, **FEW).joints, atol=1e-2)
 
 
 def test_fusion_with_all_in_the_latent_share_is_latent_with_negations_too(pipe: MotionPipeline) -> None:
     concepts = [Concept(WALK), Concept(WAVE, 0.7), Concept("a person runs", -0.6)]
     fused = pipe.compose(concepts, lambdas=(1.0, 0.0, 0.0), **FEW).joints
-    np.testing.assert_allclose(fused, pipe.compose(concepts, method="latent", **FEW).joints, atol=1e-4)
+    assert_same_motion(pipe, fused, pipe.compose(concepts, method="latent", **FEW).joints)
 
 
 def test_no_step_size_is_without_adaptive_gradient_descent(pipe: MotionPipeline) -> None:
@@ -105,6 +105,28 @@ def test_a_bundle_without_its_graphs_says_so(pipe: MotionPipeline, monkeypatch: 
     monkeypatch.setattr(pipe, "_arrays", None)
     with pytest.raises(InvalidInputError, match=r"no graphs for adaptive gradient descent: leave agd out"):
         pipe.compose([WALK, WAVE], agd=(4e-4, 4e-4), **FEW)
+
+
+@pytest.fixture
+def adaptive(pipe: MotionPipeline) -> MotionPipeline:
+    if not pipe._sessions.step_agd:
+        pytest.skip("the default bundle has no graphs of adaptive gradient descent")
+    return pipe
+
+
+def test_adaptive_gradient_descent_moves_the_motion_by_its_step_size(adaptive: MotionPipeline) -> None:
+    nothing, small, large = (
+        adaptive.compose([WALK, WAVE], agd=(size, size), **FEW).joints for size in (1e-9, 4e-4, 0.1)
+    )
+    near, far = (float(np.abs(moved - nothing).max()) for moved in (small, large))
+    assert 0 < near < far
+
+
+def test_adaptive_gradient_descent_knows_no_order(adaptive: MotionPipeline) -> None:
+    how: dict[str, Any] = {"agd": (1e-3, 2e-3), "text": f"{WALK} and waves", **FEW}
+    concepts = [Concept(WALK), Concept(WAVE, 0.7), Concept("a person runs", -1.0)]
+    one, other = (adaptive.compose(order, **how).joints for order in (concepts, concepts[::-1]))
+    assert_same_motion(adaptive, one, other)
 
 
 class Counted:

@@ -14,6 +14,7 @@ import numpy as np  # noqa: E402
 import onnxruntime  # noqa: E402
 
 from kinegraph.contract import PADDING_BIAS, LevelSpec, context_agd, step_agd  # noqa: E402
+from kinegraph.diffusion.composition import Mixture, composition, mixed, step_sizes  # noqa: E402
 from kinegraph_export.graphs import export_graph  # noqa: E402
 from kinegraph_export.modules import AgdContextGraph, AgdStepGraph, ContextGraph, StepGraph  # noqa: E402
 from kinegraph_export.onnx_export import round_weights  # noqa: E402
@@ -129,6 +130,76 @@ def test_the_step_is_autograd_of_the_energy(coarse: int, tokens: int, nodes: int
     assert not torch.allclose(found, plain, atol=1e-6)
     # a row whose step sizes are 0 is the plain one
     torch.testing.assert_close(found[0], plain[0], atol=1e-6, rtol=0)
+
+
+def predicted(case: Case, shares: dict[int, float], gamma: tuple[float, float]) -> torch.Tensor:
+    """One prediction whose attention is averaged over contexts in every layer; contexts 0 and 1 hold no text."""
+    numbers = list(shares)
+    parts = case.parts | {
+        "latent": case.parts["latent"][:1],
+        "modulation": case.parts["modulation"][:1],
+        "context": case.parts["context"][numbers],
+        "gamma": torch.tensor([gamma if number > 1 else (0.0, 0.0) for number in numbers]),
+        "src": torch.zeros(len(numbers), dtype=torch.int64),
+        "combine": torch.tensor([list(shares.values())]),
+        "bias": case.parts["bias"][numbers],
+    }
+    return reference(Case(case.denoiser, case.coarse_tokens, parts))[0]
+
+
+MIXTURES = [
+    Mixture((1.0, 0.7)),
+    Mixture((1.0, -0.6, 0.4)),
+    Mixture((0.8, 1.3, -0.3), lambdas=(0.0, 1.0, 0.0)),
+    Mixture((0.8, 1.3), (1.0,), (-1.0,), (0.2, 0.3, 0.5)),
+    Mixture((1.2,), (1.3, -0.3), (-0.5, -0.2), (0.1, 0.0, 0.9)),
+]
+
+
+@pytest.mark.parametrize("mixture", MIXTURES, ids=str)
+@pytest.mark.parametrize("gamma", [(0.0, 0.0), (4e-4, 1e-3), (0.02, 0.01)])
+@pytest.mark.parametrize(("coarse_tokens", "tokens"), [(0, 2), (2, 4), (4, 8)])
+def test_one_run_of_trained_modules_is_equations_7_to_10(
+    mixture: Mixture, gamma: tuple[float, float], coarse_tokens: int, tokens: int
+) -> None:
+    n, joint = len(mixture.weights), len(mixture.joint)
+    case, scale, apart = made(coarse_tokens, tokens, 4, 0.0, n), 2.5, coarse_tokens > 0
+    generator = torch.Generator().manual_seed(tokens)
+    count = 2 + n + joint + len(mixture.negated)
+    case.parts["context"] = torch.randn(count, 4 + coarse_tokens, WIDTH, generator=generator)
+    case.parts["bias"] = torch.log(torch.rand(count, 1, 1, 4 + coarse_tokens, generator=generator) + 0.2)
+    case.parts["bias"][-1, ..., 3] = PADDING_BIAS
+
+    def eps(*shares: tuple[int, float]) -> torch.Tensor:
+        return predicted(case, dict(shares), gamma)
+
+    def added(first: int, weights: tuple[float, ...], base: torch.Tensor) -> torch.Tensor:
+        terms = [w * (eps((first + k, 1.0)) - base) for k, w in enumerate(weights)]
+        return sum(terms, torch.zeros_like(base))
+
+    null = eps((0, 1.0))
+    base = eps((1, 1.0)) if apart else null
+    by_latent = null + scale * (base - null + added(2, mixture.weights, base))
+    mean = [(2 + k, w / sum(mixture.weights)) for k, w in enumerate(mixture.weights)]
+    by_meaning = null + scale * (eps(*mean) - null) if mixture.lambdas[1] else null
+    by_text = null + scale * added(2 + n, mixture.joint, null)
+    fused = sum(share * term for share, term in zip(mixture.lambdas, (by_latent, by_meaning, by_text), strict=True))
+    expected = fused + scale * added(2 + n + joint, mixture.negated, base)
+
+    plan = composition(mixture, scale, coarse=apart)
+    rows, context = len(plan.mix), torch.from_numpy(plan.wiring.context)
+    graph = AgdStepGraph(AgdStepNetwork(case.denoiser))
+    with torch.no_grad():
+        found = graph(
+            case.parts["latent"][:1].expand(rows, -1, -1),
+            case.parts["modulation"][:1].expand(rows, -1, -1),
+            case.parts["context"][context],
+            torch.from_numpy(step_sizes(plan.wiring, gamma)),
+            torch.from_numpy(plan.wiring.src),
+            torch.from_numpy(plan.wiring.combine),
+            case.parts["bias"][context],
+        )
+    np.testing.assert_allclose(mixed(found.numpy(), plan.mix)[0], expected.numpy(), atol=1e-4)
 
 
 def nodes_of(seed: int) -> tuple[torch.Tensor, ...]:
