@@ -17,6 +17,8 @@ from kinegraph.contract import NULL_KIND
 from kinegraph.motion.features import joints_from_features
 from kinegraph.motion.skeleton import FloatArray
 from kinegraph_export.graphs import Trained
+from kinegraph_training.models.agd import AgdStepNetwork
+from kinegraph_training.models.denoiser import ContextTokens
 from kinegraph_training.models.hierarchy import GraphBatch
 from kinegraph_training.models.transformer import MASKED
 
@@ -32,6 +34,8 @@ class Request:
     guidance: Mapping[str, float]
     guidance_base: str
     """As in `kinegraph.manifest.Defaults`."""
+    agd: tuple[float, float] | None = None
+    """Step sizes gamma_attn and gamma_reg (EnergyMoGen, Eq. 3, 4) for the text."""
 
 
 def alpha_bar(train_steps: int = 1000) -> Tensor:
@@ -57,6 +61,7 @@ def level_latent(
             torch.zeros(1, 1),
         ),
     }
+    tokens = ContextTokens.forward(denoiser.context, nodes[visible][None], kind, order, coarse)
     extra = 0 if coarse is None else coarse.shape[1]
     latent = torch.from_numpy(request.noise[number])[None]
     table, stride = alpha_bar(), 1000 // request.steps[level]
@@ -67,7 +72,11 @@ def level_latent(
         for name, (context, bias) in cases.items():
             hidden = torch.full((1, extra), MASKED if name == "null" and request.guidance_base == "empty" else 0.0)
             full = torch.cat([bias, hidden], dim=1)[:, None, None, :]
-            noise[name] = denoiser.step(latent, clock, context, full)
+            if name == "text" and request.agd is not None:
+                gamma = torch.tensor([request.agd])
+                noise[name] = AgdStepNetwork(denoiser)(latent, clock, tokens, gamma, full)
+            else:
+                noise[name] = denoiser.step(latent, clock, context, full)
         guided = noise["null"] + request.guidance[level] * (noise["text"] - noise["null"])
         now, after = table[time], table[max(time - stride, 0)]
         clean = (latent - (1 - now).sqrt() * guided) / now.sqrt()

@@ -23,9 +23,14 @@ import kinegraph  # noqa: E402
 from kinegraph import Concept, MotionPipeline  # noqa: E402
 from kinegraph.concepts import METHODS  # noqa: E402
 from kinegraph.contract import LEVELS  # noqa: E402
+from kinegraph.diffusion.sampler import LevelPlan, initial_noise  # noqa: E402
 from kinegraph.edits import with_weight, without  # noqa: E402
 from kinegraph.errors import BundleError, InvalidInputError  # noqa: E402
+from kinegraph.motion.bones import with_bone_lengths  # noqa: E402
+from kinegraph.tables import bones_of  # noqa: E402
+from kinegraph_export.checkpoints import read_run  # noqa: E402
 from kinegraph_export.export_bundle import Card, export_bundle  # noqa: E402
+from kinegraph_export.pipeline_parity import Request, torch_joints  # noqa: E402
 from kinegraph_export.recover import recover  # noqa: E402
 from kinegraph_training import train_denoisers, train_vae  # noqa: E402
 from kinegraph_training.data_writer import PreparedClip, write_data  # noqa: E402
@@ -35,7 +40,7 @@ WEIGHTS = Path(__file__).parents[2] / "weights" / "edge"
 ASSETS = Path(kinegraph.__file__).parent / "bundles" / "default"
 pytestmark = [
     pytest.mark.skipif(not (ASSETS / "parser.bin").is_file(), reason="no default bundle to take the text files from"),
-    pytest.mark.timeout(600),
+    pytest.mark.timeout(5600),
 ]
 
 CARD = Card(
@@ -139,6 +144,25 @@ def test_the_bundle_makes_a_clip_and_states_its_parity(bundle: Path) -> None:
     assert parity["pipeline_mm"] <= 1.0
     graphs = {name.removesuffix(".onnx") for name in pipe.manifest.files if name.endswith(".onnx")} - {"text_encoder"}
     assert graphs <= set(parity) and max(parity[name] for name in graphs) <= 1e-4
+
+
+def test_the_runtime_moves_conditions_as_torch_does(trained: Path, bundle: Path) -> None:
+    pipe = MotionPipeline.load(bundle, threads=1)
+    graph, agd, sampling = pipe.parse("a person walks to the left"), (0.6, 0.4), pipe.manifest.defaults
+    how: dict[str, Any] = {"seconds": 2, "seed": 3, "foot_fix": False}
+    moved = pipe.compose([graph], method="latent", agd=agd, **how).joints
+    run, own = read_run(trained / "run")
+    plans = [LevelPlan(name, spec.tokens, spec.latent_width, 1) for name, spec in pipe.manifest.levels.items()]
+    noise = initial_noise(3, plans)
+    request = Request(len(moved), noise, sampling.steps, sampling.guidance, sampling.guidance_base, agd)
+    expected = torch_joints(run, pipe._arrays(graph), request, own.mean, own.std)
+    np.testing.assert_allclose(moved, with_bone_lengths(expected, bones_of(pipe._tables)), atol=1e-4)
+    assert np.abs(moved - pipe.generate(graph, **how).joints).max() > 1e-3
+    # One concept of weight 1 is itself by every method, and two in either order are the same motion.
+    np.testing.assert_allclose(pipe.compose([graph], agd=agd, **how).joints, moved, atol=1e-4)
+    concepts = [Concept("a person walks to the left"), Concept("a person turns right", 0.7)]
+    one, other = (pipe.compose(each, text="a person walks", agd=agd, **how) for each in (concepts, concepts[::-1]))
+    np.testing.assert_allclose(one.joints, other.joints, atol=1e-4)
 
 
 def test_the_coarse_decoders_are_those_of_their_autoencoders(trained: Path, bundle: Path) -> None:
