@@ -6,8 +6,9 @@
     ... --only "fused, AGD"         the rows that begin so, no negations; --only negation: those alone
 
 How often both actions happen, how natural the motion looks (Fréchet distance of its embedding to spliced captured
-clips, foot skate, jerk), and what a negation takes away and leaves (EnergyMoGen, Tables 7 and 9). Through the runtime.
-Writes JSON, and a Markdown table beside it.
+clips, foot skate, jerk, transition distance), and what a negation takes away and leaves (EnergyMoGen, Tables 7 and 9).
+Through the runtime. Writes JSON, and a Markdown table beside it; a stopped run goes on after its last row. Needs a
+bundle with the graphs of adaptive gradient descent.
 """
 
 from __future__ import annotations
@@ -21,6 +22,7 @@ from typing import Any
 
 import numpy as np
 from composed import BESIDE, composed_set
+from composed_scores import transition_distance
 from evaluate import long_enough
 from evaluator import Evaluator
 from numpy.typing import NDArray
@@ -58,11 +60,12 @@ PAIRS = (
 LAMBDAS = (
     (0.1, 0.7, 0.2), (0.3, 0.5, 0.2), (0.3, 0.3, 0.4), (0.0, 0.5, 0.5), (0.1, 0.3, 0.6), (0.2, 0.2, 0.6),
     (0.05, 0.15, 0.8), (0.1, 0.1, 0.8), (0.2, 0.0, 0.8), (0.0, 0.2, 0.8), (0.05, 0.05, 0.9), (0.1, 0.0, 0.9),
+    (0.0, 0.1, 0.9),
 )  # fmt: skip
 """EnergyMoGen, Table 7, and more of the joint text."""
 STEP_SIZES = ((4e-4, 4e-4), (1e-3, 2e-3), (1e-2, 1e-2), (1e-1, 1e-1))
 """EnergyMoGen, Table 9."""
-NEGATIONS = (-0.5, -0.75, -1.0)
+NEGATIONS = (-0.3, -0.5, -0.75, -1.0)
 
 Make = Callable[[MotionPipeline, tuple[str, str], int], Joints]
 
@@ -128,6 +131,7 @@ def row(
         "frechet": frechet_distance(judge.motions(everything), reference),
         "foot_skate": float(np.nanmean([measures.foot_skate(joints) for joints in everything])),
         "jerk": float(np.mean([measures.jerk(joints) for joints in everything])),
+        "transition": float(np.mean([transition_distance(joints, None) for joints in everything])),
     }
 
 
@@ -155,6 +159,22 @@ def negated(pipe: MotionPipeline, seeds: int, weight: float) -> dict[str, Any]:
     }
 
 
+def beside_alike(pipe: MotionPipeline, seeds: int, weight: float) -> dict[str, float]:
+    """What the negation of running leaves of walking with a gesture: it takes what both have in common too."""
+    pairs = [pair for pair in PAIRS if pair[0] == "walk"]
+    concepts = {pair: [*(WORDS[each] for each in pair), Concept(WORDS["run"], weight)] for pair in pairs}
+    motions = {
+        pair: [pipe.compose(concepts[pair], seconds=SECONDS, seed=seed).joints for seed in range(seeds)]
+        for pair in pairs
+    }
+    way = [np.linalg.norm(joints[-1, 0, [0, 2]] - joints[0, 0, [0, 2]]) for own in motions.values() for joints in own]
+    return {
+        "walks": float(np.mean([rate("walk", motions[pair]) for pair in pairs])),
+        "gesture": float(np.mean([rate(pair[1], motions[pair]) for pair in pairs])),
+        "metres": float(np.mean(way)),
+    }
+
+
 def rate(action: str, clips: list[Joints]) -> float:
     """Share of clips that show an action beside another."""
     return float(np.mean([BESIDE[action](joints) for joints in clips]))
@@ -162,7 +182,7 @@ def rate(action: str, clips: list[Joints]) -> float:
 
 def table(result: dict[str, Any]) -> str:
     """Markdown."""
-    columns = ("both", "first", "second", "frechet", "foot_skate", "jerk")
+    columns = ("both", "first", "second", "frechet", "foot_skate", "jerk", "transition")
     lines = [f"{len(PAIRS)} pairs, {result['seeds']} seeds, {result['model']}", ""]
     lines += ["| | " + " | ".join(columns) + " |", "|---|" + "---|" * len(columns)]
     for name, found in result["settings"].items():
@@ -177,7 +197,24 @@ def table(result: dict[str, Any]) -> str:
             f"| weight {weight} | {len(found['rows'])} | {found['fallen_by']:.2f} | {found['kept']:.2f} "
             f"| {found['both_met']} |"
         )
+    lines += ["", "| walking with a gesture, not running | walks | gesture | metres in 4 s |", "|---|---|---|---|"]
+    for weight, found in result["alike"].items():
+        lines.append(f"| weight {weight} | " + " | ".join(f"{value:.2f}" for value in found.values()) + " |")
     return "\n".join(lines) + "\n"
+
+
+def begun(path: Path, how: dict[str, Any]) -> dict[str, Any]:
+    """The rows that a stopped run of the same model and seeds has left, or none."""
+    if path.is_file():
+        found: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+        if all(found.get(key) == value for key, value in how.items()):
+            return found
+    return {**how, "settings": {}, "negation": {}, "alike": {}}
+
+
+def keep(path: Path, result: dict[str, Any]) -> None:
+    """All rows so far."""
+    path.write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
 
 
 def main() -> None:
@@ -196,19 +233,17 @@ def main() -> None:
     spliced = composed_set(clips, HeldOut.read(given.held_out), "together")
     reference = judge.motions([one.joints for one in spliced])
     model = f"{pipe.manifest.name} {pipe.manifest.version}"
-    result: dict[str, Any] = {
-        "model": model,
-        "seeds": given.seeds,
-        "settings": {},
-        "negation": {},
-    }
+    result = begun(given.out, {"model": model, "seeds": given.seeds})
     for name, make in settings().items():
-        if name.startswith(given.only):
+        if name.startswith(given.only) and name not in result["settings"]:
             result["settings"][name] = row(make, pipe, given.seeds, reference, judge)
             print(f"{name}: both {result['settings'][name]['both']:.2f}", file=sys.stderr)
+            keep(given.out, result)
     for weight in NEGATIONS if given.only in ("", "negation") else ():
-        result["negation"][f"{weight:g}"] = negated(pipe, given.seeds, weight)
-    given.out.write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
+        if f"{weight:g}" not in result["alike"]:
+            result["negation"][f"{weight:g}"] = negated(pipe, given.seeds, weight)
+            result["alike"][f"{weight:g}"] = beside_alike(pipe, given.seeds, weight)
+            keep(given.out, result)
     text = table(result)
     given.out.with_suffix(".md").write_text(text, encoding="utf-8")
     print(text)

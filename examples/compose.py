@@ -4,7 +4,7 @@ from kinegraph import Concept, MotionPipeline
 
 pipe = MotionPipeline.load(threads=2)
 clip = pipe.compose(
-    [Concept("a person walks forward"), Concept("a person waves the right hand"), Concept("a person runs", -0.5)],
+    [Concept("a person walks forward"), Concept("a person waves the right hand"), Concept("a person runs", -0.3)],
     seconds=4,
     seed=7,
 )

@@ -11,6 +11,9 @@ kinegraph parse "a tired person walks and turns to the right" --weight "to the r
 kinegraph generate "a tired person walks and turns to the right" --seconds 4 --seed 6 --weight "to the right=0.3" -o graph_less.png
 kinegraph generate "a tired person walks and turns to the right" --seconds 4 --seed 6 -o graph_more.png
 "${PYTHON:-../../.venv/bin/python}" pages.py
+kinegraph compose --and "a person walks forward" --and "a person raises both hands" --seconds 4 --seed 2 -o compose_walk.png
+kinegraph compose --and "a person walks and turns left" --and "a person waves both hands" --seconds 4 --seed 3 -o compose_turn.png
+kinegraph compose --and "a person walks and turns left while a person waves both hands" --not "a person waves both hands" --seconds 4 --seed 3 -o compose_not.png
 # the map alone is kept: of the clip there is a GIF already
 kinegraph compose --and "a person walks forward" --and "a person waves the right hand" --seconds 4 --seed 4 -o composed.npz --energy energy.png
 rm composed.npz

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from pathlib import Path
 from typing import Any
 
 import composition_settings as settings
@@ -59,8 +60,24 @@ def test_rates_are_those_of_the_clips(monkeypatch: pytest.MonkeyPatch) -> None:
     less = settings.negated(pipe, 4, -0.5)
     assert [one["pair"] for one in less["rows"]] == ["walk + raise-up-both-hands"]
     assert less["fallen_by"] == 1.0 and less["kept"] == 1.0 and less["both_met"] == 1
-    result = {"model": "m", "seeds": 4, "settings": {"joint text": found}, "negation": {"-0.5": less}}
-    assert "| joint text | 0.250 | 1.000 | 0.250 |" in settings.table(result)
+    alike = settings.beside_alike(pipe, 2, -0.5)
+    assert alike == {"walks": 1.0, "gesture": 0.0, "metres": pytest.approx(np.ptp(walk(40)[:, 0, 2]))}
+    assert pipe.asked[-1][0] == (1.0, 1.0, -0.5)
+    result = {"model": "m", "seeds": 4, "settings": {"joint text": found}}
+    result |= {"negation": {"-0.5": less}, "alike": {"-0.5": alike}}
+    text = settings.table(result)
+    assert "| joint text | 0.250 | 1.000 | 0.250 |" in text
+    assert f"| weight -0.5 | 1.00 | 0.00 | {alike['metres']:.2f} |" in text
+
+
+def test_a_stopped_run_goes_on_with_rows_of_its_own_only(tmp_path: Path) -> None:
+    path, how = tmp_path / "settings.json", {"model": "edge 0.2.0", "seeds": 10}
+    new = settings.begun(path, how)
+    assert new == {**how, "settings": {}, "negation": {}, "alike": {}}
+    new["settings"]["latent"] = {"both": 0.5}
+    settings.keep(path, new)
+    assert settings.begun(path, how) == new
+    assert settings.begun(path, {**how, "seeds": 3})["settings"] == {}
 
 
 def test_every_setting_asks_for_something_else() -> None:
