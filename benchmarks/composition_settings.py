@@ -63,7 +63,7 @@ LAMBDAS = (
     (0.0, 0.1, 0.9),
 )  # fmt: skip
 """EnergyMoGen, Table 7, and more of the joint text."""
-STEP_SIZES = ((4e-4, 4e-4), (1e-3, 2e-3), (1e-2, 1e-2), (1e-1, 1e-1))
+STEP_SIZES = ((4e-4, 4e-4), (1e-3, 2e-3), (1e-2, 1e-2), (0.1, 0.1), (0.2, 0.2))
 """EnergyMoGen, Table 9."""
 NEGATIONS = (-0.3, -0.5, -0.75, -1.0)
 

@@ -266,10 +266,10 @@ class MotionPipeline:
             method: "latent" adds predictions (Eq. 7, 8), "semantic" mixes attention (Eq. 9), "fused" blends both
                 with the joint text (Eq. 10) and takes away what is negated (Eq. 8).
             text: the joint text of "fused"; None joins the positive concepts with "while".
-            lambdas: of "fused": shares of latent, semantic and joint text; default (0.05, 0.15, 0.8).
+            lambdas: of "fused": shares of latent, semantic and joint text; default (0, 0.1, 0.9).
             agd: step sizes (gamma_attn, gamma_reg) of adaptive gradient descent (Eq. 3, 4), each 0 to 1: EnergyMoGen
                 has (0.0004, 0.0004) for several concepts and (0.001, 0.002) for one sentence of several, which move
-                the default bundle's joints by 1 to 3 mm; with it (0.1, 0.1) is worth a try. None is off.
+                the default bundle's joints by 1 to 3 mm; with it (0.2, 0.2) is best. None is off.
             seconds, seed, steps, guidance, foot_fix, on_step, on_level: as in `generate`.
 
         Raises:
