@@ -268,8 +268,8 @@ class MotionPipeline:
             text: the joint text of "fused"; None joins the positive concepts with "while".
             lambdas: of "fused": shares of latent, semantic and joint text; default (0, 0.1, 0.9).
             agd: step sizes (gamma_attn, gamma_reg) of adaptive gradient descent (Eq. 3, 4), each 0 to 1: EnergyMoGen
-                has (0.0004, 0.0004) for several concepts and (0.001, 0.002) for one sentence of several, which move
-                the default bundle's joints by 1 to 3 mm; with it (0.2, 0.2) is best. None is off.
+                has (0.0004, 0.0004) for several concepts and (0.001, 0.002) for one sentence of several; the default
+                bundle does best with (0.2, 0.2). None is off.
             seconds, seed, steps, guidance, foot_fix, on_step, on_level: as in `generate`.
 
         Raises:

@@ -40,7 +40,7 @@ WEIGHTS = Path(__file__).parents[2] / "weights" / "edge"
 ASSETS = Path(kinegraph.__file__).parent / "bundles" / "default"
 pytestmark = [
     pytest.mark.skipif(not (ASSETS / "parser.bin").is_file(), reason="no default bundle to take the text files from"),
-    pytest.mark.timeout(5600),
+    pytest.mark.timeout(600),
 ]
 
 CARD = Card(
