@@ -14,12 +14,12 @@ import sys
 from pathlib import Path
 from typing import Any
 
-import measures
 import numpy as np
 from behaviours import BEHAVIOURS, Behaviour
 
 from kinegraph import KinegraphError, MotionPipeline
 from kinegraph.motion.skeleton import bone_lengths
+from kinegraph_training import measures
 from kinegraph_training.data import MotionClip, read_split
 
 SPLITS = ("train", "val", "dev_test")

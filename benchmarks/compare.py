@@ -46,24 +46,24 @@ def prepare(variant: str, seed: int, options: argparse.Namespace) -> Path:
     return run
 
 
-def trained(run: Path, options: argparse.Namespace) -> None:
-    """Train, or go on, or do nothing where all steps are done."""
+def trained(run: Path, options: argparse.Namespace, more: Sequence[str] = ()) -> None:
+    """Train, or go on, or do nothing where all steps are done; `more` are further words of the command."""
     done = run / "trained"
     if done.is_file() and done.read_text() == str(options.steps):
         return
     command = [sys.executable, "-m", "kinegraph_training.train_denoisers", "--data", str(options.data)]
     command += ["--held-out", str(options.held_out), "--run", str(run), "--preset", str(run / "preset.toml")]
-    command += ["--assets", str(DEFAULT_BUNDLE)]
+    command += ["--assets", str(DEFAULT_BUNDLE), *more]
     subprocess.run(command, check=True)
     done.write_text(str(options.steps))
 
 
-def measured(run: Path, options: argparse.Namespace) -> dict[str, Any]:
-    """The evaluation of a run, kept beside it."""
+def measured(run: Path, options: argparse.Namespace, more: Sequence[str] = ()) -> dict[str, Any]:
+    """The evaluation of a run, kept beside it; `more` are further words of the command."""
     out = run / "evaluation.json"
     if not out.is_file():
         command = [sys.executable, str(HERE / "evaluate.py"), "--data", str(options.data), "--run", str(run)]
-        command += ["--work", str(run / "takes"), "--repeats", str(options.repeats), "--out", str(out)]
+        command += ["--work", str(run / "takes"), "--repeats", str(options.repeats), "--out", str(out), *more]
         subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
     found: dict[str, Any] = json.loads(out.read_text(encoding="utf-8"))
     return found

@@ -6,13 +6,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-import measures
 import numpy as np
 from composed import Composed
 from numpy.typing import NDArray
 from scores import Judges, grouped_r_precision
 
 from kinegraph.motion.skeleton import facing_angle
+from kinegraph_training import measures
 from kinegraph_training.compositions import BLEND, rotated_y
 from kinegraph_training.data import MotionClip
 from kinegraph_training.metrics import frechet_distance

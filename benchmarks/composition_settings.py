@@ -16,7 +16,6 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import measures
 import numpy as np
 from composed import BESIDE, composed_set
 from evaluate import long_enough
@@ -24,6 +23,7 @@ from evaluator import Evaluator
 from numpy.typing import NDArray
 
 from kinegraph import Concept, MotionPipeline
+from kinegraph_training import measures
 from kinegraph_training.compositions import HeldOut
 from kinegraph_training.data import read_split
 from kinegraph_training.metrics import frechet_distance

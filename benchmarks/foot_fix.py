@@ -14,7 +14,6 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Final
 
-import measures
 import numpy as np
 from behaviour import SPLITS, captured
 from behaviours import BEHAVIOURS, Behaviour
@@ -22,6 +21,7 @@ from behaviours import BEHAVIOURS, Behaviour
 from kinegraph import MotionPipeline
 from kinegraph.motion.feet import SIDES, contacts, planted_feet
 from kinegraph.motion.skeleton import JOINT_INDEX
+from kinegraph_training import measures
 from kinegraph_training.data import MotionClip, read_split
 
 TOES: Final = (JOINT_INDEX["left_foot"], JOINT_INDEX["right_foot"])

@@ -23,7 +23,7 @@ from takes import Model, folder_of, generated
 from kinegraph.bundle import DEFAULT_BUNDLE
 from kinegraph.edits import masked
 from kinegraph.graph import SemanticGraph
-from kinegraph.text.parser import GraphParser
+from kinegraph.text.parser import GraphParser, read_parser
 from kinegraph_training.data import MotionClip, read_split
 
 PREDICATES: dict[str, p.Predicate] = {
@@ -100,7 +100,7 @@ def main() -> None:
     parser.add_argument("--out", type=Path, required=True, help="JSON file; a .md file is written beside it")
     given = parser.parse_args()
     plan = Plan(given.bundle, given.run, given.data, given.work, None, given.repeats, {})
-    result = measured(plan, GraphParser((DEFAULT_BUNDLE / "parser.bin").read_bytes()))
+    result = measured(plan, read_parser(DEFAULT_BUNDLE))
     given.out.write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
     text = table(result)
     given.out.with_suffix(".md").write_text(text, encoding="utf-8")

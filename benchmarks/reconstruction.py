@@ -12,7 +12,6 @@ import json
 from collections.abc import Sequence
 from pathlib import Path
 
-import measures
 import numpy as np
 import torch
 from evaluator import Evaluator
@@ -21,6 +20,7 @@ from recogniser import Recogniser
 from scores import Reference, grouped_r_precision, recognised
 
 from kinegraph.motion.features import features_from_joints, joints_from_features
+from kinegraph_training import measures
 from kinegraph_training.batches import padded
 from kinegraph_training.config import LEVELS
 from kinegraph_training.data import MotionClip, read_split

@@ -7,7 +7,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-import measures
 import numpy as np
 from behaviours import CONTENTS, RARE
 from caption_claims import claims
@@ -15,6 +14,7 @@ from evaluator import Evaluator
 from numpy.typing import NDArray
 from recogniser import Recogniser
 
+from kinegraph_training import measures
 from kinegraph_training.compositions import resampled
 from kinegraph_training.data import MotionClip
 from kinegraph_training.metrics import diversity, frechet_distance, label_groups, matching_distance, r_precision

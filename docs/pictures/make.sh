@@ -11,3 +11,6 @@ kinegraph parse "a tired person walks and turns to the right" --weight "to the r
 kinegraph generate "a tired person walks and turns to the right" --seconds 4 --seed 6 --weight "to the right=0.3" -o graph_less.png
 kinegraph generate "a tired person walks and turns to the right" --seconds 4 --seed 6 -o graph_more.png
 "${PYTHON:-../../.venv/bin/python}" pages.py
+# the map alone is kept: of the clip there is a GIF already
+kinegraph compose --and "a person walks forward" --and "a person waves the right hand" --seconds 4 --seed 4 -o composed.npz --energy energy.png
+rm composed.npz

@@ -2,29 +2,53 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+import copy
+from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import Literal
 
 import numpy as np
+import onnx
 import torch
 from torch import nn
 
-from kinegraph.contract import COARSE_DECODERS, LEVELS, NODE_KINDS, GraphContract, LevelSpec, contracts
+from kinegraph.contract import (
+    AGD_CONTEXTS,
+    AGD_STEPS,
+    COARSE_DECODERS,
+    LEVELS,
+    NODE_KINDS,
+    GraphContract,
+    LevelSpec,
+    contracts,
+)
 from kinegraph.errors import InvalidInputError
+from kinegraph_export.fused import fused
 from kinegraph_export.modules import (
+    AgdContextGraph,
+    AgdStepGraph,
     ClockGraph,
     CoarseDecoderGraph,
     ContextGraph,
     DecoderGraph,
+    MotionAgdContextGraph,
     MotionContextGraph,
     StepGraph,
 )
-from kinegraph_export.onnx_export import halved_weights, serialised, to_onnx
-from kinegraph_export.parity import max_difference, module_arguments
+from kinegraph_export.onnx_export import halved_weights, int8_weights, serialised, stripped, to_onnx
+from kinegraph_export.parity import Draw, max_difference, module_arguments, relative_error
+from kinegraph_export.quantise import dynamic_int8, optimised
+from kinegraph_training.models.agd import AgdStepNetwork
 from kinegraph_training.models.hierarchy import Hierarchy
 from kinegraph_training.models.vae import MotionVae
 
-Inputs = Callable[[np.random.Generator], dict[str, np.ndarray]]
+Precision = Literal["fp32", "int8"]
+
+KEPT_IN_FLOAT = ("graph_encoder", "decoder", *AGD_CONTEXTS.values())
+"""Graphs whose numbers stay float32 in an int8 bundle."""
+STORED_INT8 = (*AGD_STEPS.values(), *COARSE_DECODERS.values())
+"""Graphs that an int8 bundle stores as int8 and computes in float32: adaptive gradient descent moves a context by
+thousandths, which int8 activations would round away."""
 
 
 @dataclass(frozen=True)
@@ -85,17 +109,19 @@ def graph_modules(trained: Trained) -> dict[str, nn.Module]:
     modules: dict[str, nn.Module] = {"graph_encoder": trained.hierarchy.graph_encoder}
     for level in LEVELS:
         denoiser = trained.hierarchy.levels[level]
-        wrap = MotionContextGraph if level == LEVELS[0] else ContextGraph
-        modules[f"context_{level}"] = wrap(denoiser.context)
+        top = level == LEVELS[0]
+        modules[f"context_{level}"] = (MotionContextGraph if top else ContextGraph)(denoiser.context)
         modules[f"clock_{level}"] = ClockGraph(denoiser.clock)
         modules[f"step_{level}"] = StepGraph(denoiser.step)
+        modules[AGD_CONTEXTS[level]] = (MotionAgdContextGraph if top else AgdContextGraph)(denoiser.context)
+        modules[AGD_STEPS[level]] = AgdStepGraph(AgdStepNetwork(denoiser))
     modules["decoder"] = DecoderGraph(trained.vae, trained.centre, trained.scale)
     for level, own in trained.coarse.items():
         modules[COARSE_DECODERS[level]] = CoarseDecoderGraph(own.vae, own.centre, own.scale, own.gain, own.shift)
     return {name: module.eval() for name, module in modules.items()}
 
 
-def drawn_inputs(contract: GraphContract, frames_per_token: int) -> Inputs:
+def drawn_inputs(contract: GraphContract, frames_per_token: int) -> Draw:
     """Random inputs of a contract, with new sizes at every call; ids and masks are meaningful ones."""
 
     def draw(rng: np.random.Generator) -> dict[str, np.ndarray]:
@@ -132,29 +158,43 @@ def _values(name: str, shape: tuple[int, ...], size: dict[str, int], rng: np.ran
     if name in ("node_mask", "frame_mask"):
         length = rng.integers(shape[1] // 2 + 1, shape[1] + 1, shape[0])
         return (np.arange(shape[1]) < length[:, None]).astype(np.float32)
+    if name == "gamma":
+        return rng.choice([0.0, 1e-3, 1e-2], shape).astype(np.float32)
     if name == "bias":
         return rng.choice([0.0, 0.0, -0.7, -1e4], shape).astype(np.float32)
     return rng.standard_normal(shape).astype(np.float32)
 
 
-def export_graph(name: str, module: nn.Module, contract: GraphContract, frames_per_token: int) -> tuple[bytes, float]:
-    """One graph as ONNX bytes, with its largest difference from the module.
+def traced(module: nn.Module, contract: GraphContract, frames_per_token: int) -> onnx.ModelProto:
+    """A module as ONNX with fused operators."""
+    sample = drawn_inputs(contract, frames_per_token)(np.random.Generator(np.random.PCG64(1)))
+    return to_onnx(
+        fused(module),
+        tuple(module_arguments(contract, sample)),
+        [spec.name for spec in contract.inputs],
+        [spec.name for spec in contract.outputs],
+        dynamic_shapes(contract, frames_per_token),
+    )
+
+
+def export_graph(
+    module: nn.Module, contract: GraphContract, frames_per_token: int, precision: Precision
+) -> tuple[bytes, dict[str, float]]:
+    """One graph as ONNX bytes, and how far it is from its module: by the graph's name the largest difference in
+    float32, and by `int8_{name}` the relative error where the file holds int8.
 
     Raises:
         ParityError: the exported graph is not the module.
     """
     draw = drawn_inputs(contract, frames_per_token)
-    sample = draw(np.random.Generator(np.random.PCG64(1)))
-    example = tuple(module_arguments(contract, sample))
-    model = to_onnx(
-        module,
-        example,
-        [spec.name for spec in contract.inputs],
-        [spec.name for spec in contract.outputs],
-        dynamic_shapes(contract, frames_per_token),
-    )
-    data = serialised(halved_weights(model))
-    return data, max_difference(data, module, contract, draw)
+    model = traced(module, contract, frames_per_token)
+    data = serialised(halved_weights(copy.deepcopy(model)))
+    parity = {contract.name: max_difference(data, module, contract, draw)}
+    if precision == "int8" and contract.name not in KEPT_IN_FLOAT:
+        smaller = int8_weights(model) if contract.name in STORED_INT8 else optimised(dynamic_int8(model))
+        data = serialised(halved_weights(stripped(smaller)))
+        parity[f"int8_{contract.name}"] = relative_error(data, module, contract, draw)
+    return data, parity
 
 
 def dynamic_shapes(contract: GraphContract, frames_per_token: int) -> tuple[object, ...]:
@@ -177,12 +217,16 @@ def dynamic_shapes(contract: GraphContract, frames_per_token: int) -> tuple[obje
     return tuple(shapes)
 
 
-def export_graphs(trained: Trained, text_width: int, features: int) -> tuple[dict[str, bytes], dict[str, float]]:
-    """All trained graphs: file name -> bytes, and parity per graph."""
+def export_graphs(
+    trained: Trained, text_width: int, features: int, precision: Precision
+) -> tuple[dict[str, bytes], dict[str, float]]:
+    """All trained graphs: file name -> bytes, and what `export_graph` measured."""
     check_exportable(trained)
     declared = contracts(level_specs(trained), text_width, features)
-    files, parity = {}, {}
+    files: dict[str, bytes] = {}
+    parity: dict[str, float] = {}
     for name, module in graph_modules(trained).items():
         contract = declared[name]
-        files[contract.file], parity[name] = export_graph(name, module, contract, trained.vae.config.frames_per_token)
+        files[contract.file], measured = export_graph(module, contract, trained.vae.config.frames_per_token, precision)
+        parity |= measured
     return files, parity

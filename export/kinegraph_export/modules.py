@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from torch import Tensor, nn
 
-from kinegraph_training.models.denoiser import Clock, ContextEncoder, Mixing, StepNetwork
+from kinegraph_training.models.agd import AgdStepNetwork
+from kinegraph_training.models.denoiser import Clock, ContextEncoder, ContextTokens, Mixing, StepNetwork
 from kinegraph_training.models.vae import MotionVae
 
 
@@ -16,14 +17,29 @@ class ContextGraph(nn.Module):
         self.context = context
 
     def forward(self, nodes: Tensor, kind: Tensor, order: Tensor, coarse: Tensor) -> tuple[Tensor, ...]:
-        return tuple(part for pair in self.context(nodes, kind, order, coarse) for part in pair)
+        return self.outputs(nodes, kind, order, coarse)
+
+    def outputs(self, *inputs: Tensor) -> tuple[Tensor, ...]:
+        """What of the context is handed on."""
+        return tuple(part for pair in self.context(*inputs) for part in pair)
 
 
 class MotionContextGraph(ContextGraph):
     """context_motion: there is no coarser latent."""
 
     def forward(self, nodes: Tensor, kind: Tensor, order: Tensor) -> tuple[Tensor, ...]:  # type: ignore[override]
-        return tuple(part for pair in self.context(nodes, kind, order) for part in pair)
+        return self.outputs(nodes, kind, order)
+
+
+class AgdContextGraph(ContextGraph):
+    """context_{level}_agd: the tokens that keys and values are made of."""
+
+    def outputs(self, *inputs: Tensor) -> tuple[Tensor, ...]:
+        return (ContextTokens.forward(self.context, *inputs),)
+
+
+class MotionAgdContextGraph(MotionContextGraph, AgdContextGraph):
+    """context_motion_agd."""
 
 
 class ClockGraph(nn.Module):
@@ -49,6 +65,26 @@ class StepGraph(nn.Module):
     ) -> Tensor:
         pairs = list(zip(context[::2], context[1::2], strict=True))
         return self.step(latent, modulation, pairs, bias, Mixing(src, combine))
+
+
+class AgdStepGraph(nn.Module):
+    """step_{level}_agd: latent, modulation, context, gamma, src, combine, bias -> noise."""
+
+    def __init__(self, step: AgdStepNetwork) -> None:
+        super().__init__()
+        self.step = step
+
+    def forward(
+        self,
+        latent: Tensor,
+        modulation: Tensor,
+        context: Tensor,
+        gamma: Tensor,
+        src: Tensor,
+        combine: Tensor,
+        bias: Tensor,
+    ) -> Tensor:
+        return self.step(latent, modulation, context, gamma, bias, Mixing(src, combine))
 
 
 class DecoderGraph(nn.Module):

@@ -86,6 +86,25 @@ def halved_weights(model: onnx.ModelProto) -> onnx.ModelProto:
     return model
 
 
+def int8_weights(model: onnx.ModelProto) -> onnx.ModelProto:
+    """Large float32 matrices stored as int8 with a scale per column behind Cast and Mul, folded at load as in
+    `halved_weights`: a quarter of the space, float32 arithmetic. Changes the model that it is given."""
+    nodes = []
+    for tensor in model.graph.initializer:
+        values = numpy_helper.to_array(tensor)
+        if tensor.data_type != TensorProto.FLOAT or values.ndim != 2 or values.size <= HALVED_ABOVE:
+            continue
+        name = tensor.name
+        scale = np.maximum(np.abs(values).max(axis=0, keepdims=True), 1e-12) / 127.0
+        tensor.CopyFrom(numpy_helper.from_array(np.rint(values / scale).astype(np.int8), f"{name}.int8"))
+        model.graph.initializer.append(numpy_helper.from_array(scale.astype(np.float32), f"{name}.scale"))
+        nodes.append(helper.make_node("Cast", [f"{name}.int8"], [f"{name}.wide"], to=TensorProto.FLOAT))
+        nodes.append(helper.make_node("Mul", [f"{name}.wide", f"{name}.scale"], [name]))
+    for place, node in enumerate(nodes):
+        model.graph.node.insert(place, node)
+    return model
+
+
 @torch.no_grad()
 def round_weights(module: nn.Module) -> None:
     """Give a module the weights its exported file will hold (see `halved_weights`)."""

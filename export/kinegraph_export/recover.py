@@ -5,7 +5,8 @@ or exported anew (in another precision, with further graphs) where the checkpoin
         --data DATA --held-out PAIRS
 
 The exporter moves, transposes and renames weights. Where each one went is found by exporting modules of the same shape
-whose weights are all different numbers. What comes back are the weights that the bundle holds, rounded to float16.
+whose weights are all different numbers. What comes back are the weights that the bundle holds, rounded to float16 or
+int8: a place to train on from, and from an fp32 bundle the same graphs again.
 """
 
 from __future__ import annotations
@@ -24,11 +25,9 @@ from onnx import numpy_helper
 from torch import nn
 
 from kinegraph.bundle import Bundle, read_bundle
-from kinegraph.contract import COARSE_DECODERS, LEVELS, GraphContract, contracts
+from kinegraph.contract import COARSE_DECODERS, LEVELS, OPTIONAL_GRAPHS, GraphContract, contracts
 from kinegraph.errors import InvalidInputError
-from kinegraph_export.graphs import Trained, drawn_inputs, dynamic_shapes, graph_modules
-from kinegraph_export.onnx_export import to_onnx
-from kinegraph_export.parity import module_arguments
+from kinegraph_export.graphs import Trained, graph_modules, traced
 from kinegraph_training.config import Preset, read_preset
 from kinegraph_training.dataset import training_set
 from kinegraph_training.latents import encode_clips, read_vae, standardised
@@ -39,15 +38,19 @@ from kinegraph_training.train_denoisers import within
 
 FloatArrays = dict[str, np.ndarray]
 
+QUANTISED = "_quantized"
+"""How onnxruntime's quantiser names the int8 weights of a tensor; their scale is `{name}_scale`."""
+
 
 def numbers(model: onnx.ModelProto) -> FloatArrays:
-    """Floating-point initializers as float32, those stored as float16 under the name they are widened to."""
-    kinds = (onnx.TensorProto.FLOAT, onnx.TensorProto.FLOAT16)
-    return {
-        tensor.name.removesuffix(".half"): numpy_helper.to_array(tensor).astype(np.float32)
-        for tensor in model.graph.initializer
-        if tensor.data_type in kinds
-    }
+    """Floating-point weights as float32: those stored as float16 under the name they are widened to, those in int8
+    multiplied by their scale."""
+    arrays = {tensor.name.removesuffix(".half"): numpy_helper.to_array(tensor) for tensor in model.graph.initializer}
+    found = {name: value.astype(np.float32) for name, value in arrays.items() if value.dtype.kind == "f"}
+    for name in [name for name in arrays if name.endswith(QUANTISED)]:
+        own = name.removesuffix(QUANTISED)
+        found[own] = arrays[name].astype(np.float32) * found.pop(f"{own}_scale")
+    return found
 
 
 def views(value: np.ndarray) -> Iterator[np.ndarray]:
@@ -85,11 +88,7 @@ def recovered(module: nn.Module, contract: GraphContract, frames_per_token: int,
     with torch.no_grad():
         for weight in weights.values():
             weight.copy_(torch.randn(weight.shape, generator=generator))
-    example = drawn_inputs(contract, frames_per_token)(np.random.Generator(np.random.PCG64(1)))
-    names = ([spec.name for spec in specs] for specs in (contract.inputs, contract.outputs))
-    model = to_onnx(
-        module, tuple(module_arguments(contract, example)), *names, dynamic_shapes(contract, frames_per_token)
-    )
+    model = traced(module, contract, frames_per_token)
     own, stored = numbers(model), numbers(onnx.load_model_from_string(data))
     if {name: value.shape for name, value in own.items()} != {name: value.shape for name, value in stored.items()}:
         raise InvalidInputError(
@@ -116,12 +115,14 @@ def hierarchy_of(bundle: Bundle, config: DenoiserConfig, vaes: Path) -> tuple[Hi
     declared = contracts(manifest.levels, config.text_width, len(manifest.features.mean))
     statistics = {}
     for level, graph in ((LEVELS[-1], "decoder"), *COARSE_DECODERS.items()):
-        if declared[graph].file in bundle.files:
-            decoder = numbers(onnx.load_model_from_string(bundle.files[declared[graph].file]))
+        file = declared[graph].file
+        if file in manifest.files:
+            data = bundle.files[file] if level == LEVELS[-1] else bundle.optional(file)
+            decoder = numbers(onnx.load_model_from_string(data))
             statistics |= {f"{level}_{name}": decoder[name] for name in ("centre", "scale")}
     unit = torch.ones(shapes[LEVELS[-1]].tokens, shapes[LEVELS[-1]].width)
     for name, module in graph_modules(Trained(hierarchy, own.vae, unit, unit)).items():
-        if name != "decoder":
+        if name != "decoder" and name not in OPTIONAL_GRAPHS:
             contract = declared[name]
             recovered(module, contract, manifest.frames.per_token, bundle.files[contract.file])
     return hierarchy, statistics

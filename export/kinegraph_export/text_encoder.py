@@ -7,18 +7,17 @@ from __future__ import annotations
 
 import hashlib
 import logging
-import tempfile
 from pathlib import Path
 
 import onnx
 import torch
-from onnxruntime.quantization import QuantType, quantize_dynamic
 from onnxruntime.quantization.matmul_nbits_quantizer import MatMulNBitsQuantizer
 from safetensors.torch import load as load_safetensors
 from torch import Tensor, nn
 
 from kinegraph.errors import BundleIntegrityError, InvalidInputError
 from kinegraph_export.onnx_export import serialised, stripped, to_onnx
+from kinegraph_export.quantise import dynamic_int8
 from kinegraph_export.sources import MINILM, checked_wheel
 from kinegraph_training.models.transformer import MASKED, attend, merge_heads, split_heads
 
@@ -139,11 +138,7 @@ def quantised(model: onnx.ModelProto) -> onnx.ModelProto:
     Plain dynamic quantisation scales each activation tensor as a whole: cosine of hidden states to fp32 down to 0.967
     on real captions, against 0.997 this way, and states then depend on the other captions of a batch.
     """
-    with tempfile.TemporaryDirectory() as folder:
-        source, target = Path(folder) / "fp32.onnx", Path(folder) / "int8.onnx"
-        onnx.save(model, source)
-        quantize_dynamic(source, target, op_types_to_quantize=["Gather"], weight_type=QuantType.QInt8)
-        tabled = onnx.load(target)
+    tabled = dynamic_int8(model, ["Gather"])
     logging.getLogger("onnxruntime.quantization.matmul_nbits_quantizer").setLevel(logging.WARNING)
     blocks = MatMulNBitsQuantizer(tabled, bits=8, block_size=128, is_symmetric=True, accuracy_level=4)
     blocks.process()

@@ -13,6 +13,7 @@ from typing import Final
 
 from kinegraph.errors import BundleError, BundleFormatError, BundleIntegrityError
 from kinegraph.manifest import FileSpec, Manifest, decode_manifest
+from kinegraph.manifest_checks import GRAPH_FILES, OPTIONAL_GRAPH_FILES
 from kinegraph.motion.skeleton import FloatArray
 from kinegraph.onnx_ops import check_self_contained
 from kinegraph.tables import read_tables
@@ -44,13 +45,25 @@ class Bundle:
     path: Path
     manifest: Manifest
     files: Mapping[str, bytes]
-    """Content of each listed file by name."""
+    """Content of each listed file by name, all but the graphs of `contract.OPTIONAL_GRAPHS`."""
     tables: Mapping[str, FloatArray]
     """`time_{level}` (train_steps, d) and `length_{level}` (max_frames + 1, d); read-only."""
+
+    def optional(self, name: str) -> bytes:
+        """Content of an optional graph's file, read and checked now: who never uses it does not pay for it.
+
+        Raises:
+            BundleFormatError, BundleIntegrityError: as in `read_bundle`.
+        """
+        data = _read_listed(self.path, name, self.manifest.files[name])
+        check_self_contained(data, name)
+        return data
 
 
 def read_bundle(path: Path | None = None) -> Bundle:
     """Read a bundle and check that it is complete and unaltered; no session is made.
+
+    Optional graphs only have to be there: they are read where they are used (`Bundle.optional`).
 
     Args:
         path: folder of the bundle; None is the one that comes with the package.
@@ -64,8 +77,12 @@ def read_bundle(path: Path | None = None) -> Bundle:
     manifest = decode_manifest(_read(folder, MANIFEST, MAX_MANIFEST_BYTES))
     _check_listing(folder, manifest)
     _check_sizes(manifest.files)
-    files = {name: _read_listed(folder, name, entry) for name, entry in manifest.files.items()}
-    for name in manifest.operators:  # all graphs
+    files = {
+        name: _read_listed(folder, name, entry)
+        for name, entry in manifest.files.items()
+        if name not in OPTIONAL_GRAPH_FILES
+    }
+    for name in GRAPH_FILES:
         check_self_contained(files[name], name)
     tables = read_tables(files["tables.npz"], manifest)
     return Bundle(folder, manifest, MappingProxyType(files), tables)

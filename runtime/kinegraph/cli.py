@@ -1,4 +1,4 @@
-"""The command line: `kinegraph generate | compose | sequence | view | play | parse | info | verify`.
+"""The command line: `kinegraph generate | compose | sequence | view | play | parse | info | verify | bench`.
 
 Exit codes: 0 done; 2 wrong input, bundle or target (one line on stderr says what); 130 interrupted.
 """
@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from kinegraph import __version__
 from kinegraph.cli_arguments import (
+    add_bench,
     add_bundle,
     add_compose,
     add_generate,
@@ -26,7 +27,7 @@ from kinegraph.cli_arguments import (
 )
 from kinegraph.cli_input import captions, check_only_jsonl, concepts, edited, input_graph, take_files
 from kinegraph.cli_output import Progress, as_json, info_record, info_text, one_line, verify_text
-from kinegraph.errors import Cancelled, KinegraphError, MissingExtraError
+from kinegraph.errors import Cancelled, InvalidInputError, KinegraphError, MissingExtraError, OutputError
 
 # Everything that loads numpy or onnxruntime is imported where it is used: `--help` must be instant.
 if TYPE_CHECKING:
@@ -76,6 +77,7 @@ def _parser() -> argparse.ArgumentParser:
         ("parse", "print or draw the semantic graph of a sentence", add_parse, _parse),
         ("info", "what a bundle is: what it can do, licences, provenance, sizes, quality", add_bundle, _info),
         ("verify", "check every file, operator and session of a bundle", add_bundle, _verify),
+        ("bench", "how fast a bundle is on this machine, stage by stage", add_bench, _bench),
     ):
         verb = verbs.add_parser(name, help=text)
         arguments(verb)
@@ -99,11 +101,31 @@ def _generate(options: argparse.Namespace) -> int:
 
 def _compose(options: argparse.Namespace) -> int:
     targets = _targets(options)
+    if options.energy is not None:
+        _check_energy(options.energy, targets, options.force)
     found = concepts(options.wanted, options.unwanted)
-    own = {"method": options.method, "text": options.text, "lambdas": options.lambdas}
-    return _make(
-        options, targets, lambda pipeline, **wishes: _one_by_one(pipeline.compose, found, len(targets), own | wishes)
-    )
+    own = {"method": options.method, "text": options.text, "lambdas": options.lambdas, "agd": options.agd}
+
+    def make(pipeline: MotionPipeline, **wishes: Any) -> list[Clip]:
+        clips = _one_by_one(pipeline.compose, found, len(targets), own | wishes)
+        if options.energy is not None:
+            from kinegraph.energy import energy_maps
+
+            del wishes["foot_fix"]  # latents know no feet
+            maps = energy_maps(pipeline, found, **own | wishes | {"seed": clips[0].seed})
+            maps.save(options.energy, force=options.force)
+        return clips
+
+    return _make(options, targets, make)
+
+
+def _check_energy(path: Path, targets: Sequence[Path], force: bool) -> None:
+    """The picture beside the clip must be another file, and one that can be written."""
+    from kinegraph.formats.atomic import check_target
+
+    check_target(path, force, (".png",))
+    if path.resolve() in [target.resolve() for target in targets]:
+        raise OutputError(f"--energy and -o name the same file {str(path)!r}; choose two")
 
 
 def _sequence(options: argparse.Namespace) -> int:
@@ -144,7 +166,7 @@ def _targets(options: argparse.Namespace) -> list[Path]:
 def _make(options: argparse.Namespace, targets: Sequence[Path], make: Callable[..., list[Clip]]) -> int:
     """Load, make, write, report."""
     start = time.perf_counter()
-    pipeline = _load(options.bundle, options.threads)
+    pipeline = _load(options.bundle, options.threads, getattr(options, "graph", None) is None)
     loaded = time.perf_counter()
     with Progress.on_stderr(quiet=options.quiet, forced=options.progress) as progress:
         clips = make(
@@ -224,7 +246,7 @@ def _play(options: argparse.Namespace) -> int:
             open_browser(url)
 
     with listen(options.port) as listener:
-        pipeline = _load(options.bundle, options.threads)
+        pipeline = _load(options.bundle, options.threads, True)
         try:
             serve(pipeline, listener, started)
         except KeyboardInterrupt:
@@ -237,7 +259,7 @@ def _parse(options: argparse.Namespace) -> int:
         return _parse_one(options)
     check_only_jsonl(options)
     lines = captions(options.jsonl)
-    pipeline = _load(options.bundle, None)
+    pipeline = _load(options.bundle, None, True)
     for place, caption in lines:
         try:
             graph = pipeline.parse(caption)
@@ -254,7 +276,7 @@ def _parse_one(options: argparse.Namespace) -> int:
     if options.svg is not None:
         check_target(options.svg, options.force, (".svg",))
     wish = input_graph(options.text, options.graph)
-    graph = edited(_load(options.bundle, None).parse(wish) if isinstance(wish, str) else wish, options.edits)
+    graph = edited(_load(options.bundle, None, True).parse(wish) if isinstance(wish, str) else wish, options.edits)
     if options.svg is None:
         print(as_json(graph.to_dict(), pretty=not options.json))
     else:
@@ -285,9 +307,28 @@ def _verify(options: argparse.Namespace) -> int:
     return 0
 
 
-def _load(bundle: Path | None, threads: int | None) -> MotionPipeline:
-    from kinegraph.pipeline import MotionPipeline
+def _bench(options: argparse.Namespace) -> int:
+    from kinegraph.bench import bench, table
+    from kinegraph.formats.atomic import check_target, write_atomically
+    from kinegraph.strict_json import plain
 
+    if options.repeats < 1:
+        raise InvalidInputError(f"repeats must be 1 or more, not {options.repeats}")
+    if options.json is not None:
+        check_target(options.json, True, (".json",))
+    report = bench(options.bundle, seconds=options.seconds, repeats=options.repeats, threads=options.threads)
+    if options.json is not None:
+        write_atomically(options.json, (as_json(plain(report), pretty=True) + "\n").encode())
+    print(table(report))
+    return 0
+
+
+def _load(bundle: Path | None, threads: int | None, parses: bool) -> MotionPipeline:
+    from kinegraph.pipeline import MotionPipeline
+    from kinegraph.text.analysis import import_in_background
+
+    if parses:
+        import_in_background()
     return MotionPipeline.load(bundle, threads=threads)
 
 

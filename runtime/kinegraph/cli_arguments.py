@@ -15,6 +15,15 @@ def add_bundle(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--json", action="store_true", help="print one JSON object on one line")
 
 
+def add_bench(parser: argparse.ArgumentParser) -> None:
+    """Arguments of `bench`."""
+    parser.add_argument("--bundle", type=Path, metavar="DIR", help="a bundle's folder; default: the built-in one")
+    parser.add_argument("--seconds", type=float, default=4.0, metavar="S", help="length of the clip; default 4")
+    parser.add_argument("--repeats", type=int, default=30, metavar="N", help="clips timed; default 30")
+    parser.add_argument("--threads", type=int, metavar="N", help="threads a model may use")
+    parser.add_argument("--json", type=Path, metavar="FILE", help="write everything measured, every repeat, as JSON")
+
+
 def add_generate(parser: argparse.ArgumentParser) -> None:
     """Arguments of `generate`."""
     parser.add_argument("text", nargs="?", help="the sentence, e.g. 'a person walks forward and waves'")
@@ -56,12 +65,21 @@ def add_compose(parser: argparse.ArgumentParser) -> None:
         action="append",
         default=[],
         metavar="TEXT[:WEIGHT]",
-        help="a motion that should not; weight 0.5 unless told",
+        help="a motion that should not; weight 1 unless told",
     )
     parser.add_argument("--method", default="fused", help="latent, semantic or fused (default)")
     parser.add_argument("--text", help="the joint sentence of fused; default: the wanted ones joined with 'while'")
     parser.add_argument(
         "--lambdas", type=level_numbers, metavar="L,S,M", help="shares of latent, semantic and joint text in fused"
+    )
+    parser.add_argument(
+        "--energy", type=Path, metavar="FILE.png", help="also draw the energy of each concept and of the composition"
+    )
+    parser.add_argument(
+        "--agd",
+        type=level_numbers,
+        metavar="A,R",
+        help="step sizes of adaptive gradient descent, e.g. 0.0004,0.0004; default: off",
     )
     _add_sampling(parser)
 

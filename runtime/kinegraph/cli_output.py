@@ -106,7 +106,7 @@ def info_text(record: Mapping[str, Any]) -> str:
     lines += _section("provenance", record["provenance"])
     lines += _section("training", record["training"])
     lines += _section("quality", record["quality"])
-    lines += _section("parity with the trained model (largest difference)", record["parity"])
+    lines += _section("parity (largest difference; int8: relative; mm: mean of joints)", record["parity"])
     lines += _section("files", {name: _megabytes(size) for name, size in sizes.items()})
     return "\n".join(lines)
 

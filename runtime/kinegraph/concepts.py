@@ -5,9 +5,11 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import chain
 from numbers import Real
-from typing import Final
+from typing import Any, Final
 
+from kinegraph.diffusion.composition import Mixture
 from kinegraph.errors import InvalidInputError
 from kinegraph.graph import SemanticGraph
 from kinegraph.limits import MAX_CONCEPTS
@@ -18,8 +20,11 @@ DEFAULT_LAMBDAS: Final = (0.1, 0.3, 0.6)
 """Latent-aware, semantic-aware, joint text. EnergyMoGen (section 4.1) has 0.1, 0.7, 0.2; on 12 pairs that training
 never joined both actions happen in 84 % of clips with these, in 49 % with those (`benchmarks/composition_settings.py`).
 """
-NEGATED: Final = -0.5
-"""Default weight of what must not happen; -1 leaves the motions the model knows."""
+NEGATED: Final = -1.0
+"""Default weight of what must not happen: it takes .87 of an action's clips and leaves .96 of those of the action
+beside it, -0.5 takes .12 (`benchmarks/composition_settings.py`)."""
+MAX_STEP_SIZE: Final = 1.0
+"""Of adaptive gradient descent; from 0.1 on motions are spoilt (EnergyMoGen, Table 9)."""
 MAX_WEIGHT: Final = 10.0
 MIN_SUM: Final = 0.05
 MAX_RATIO: Final = 5.0
@@ -73,15 +78,74 @@ def checked_concepts(concepts: object) -> tuple[Concept, ...]:
     return found
 
 
+@dataclass(frozen=True)
+class Composing:
+    """What one call composes."""
+
+    concepts: tuple[Concept, ...]
+    """Of the terms of Eq. 7 to 9."""
+    negated: tuple[Concept, ...]
+    """Of Eq. 8, beside the terms of Eq. 10."""
+    joint: str | SemanticGraph
+    lambdas: tuple[float, float, float]
+    """Shares of the latent-aware, semantic-aware and joint-text terms."""
+    agd: tuple[float, float]
+    """Step sizes gamma_attn and gamma_reg; 0, 0 is without adaptive gradient descent."""
+
+    @property
+    def parts(self) -> list[tuple[str | SemanticGraph, float]]:
+        """Sentences or graphs with their weights, in the order of a `Mixture`."""
+        joint = [(self.joint, 1.0)] if self.lambdas[2] else []
+        around = ([(concept.text, concept.weight) for concept in group] for group in (self.concepts, self.negated))
+        return [*next(around), *joint, *next(around)]
+
+    def mixture(self, shares: Sequence[Sequence[float]]) -> Mixture:
+        """Weights of the graphs that stand for each part (`edits.edge_terms`), given their shares of it."""
+        weights = [tuple(weight * share for share in own) for (_, weight), own in zip(self.parts, shares, strict=True)]
+        first, last = len(self.concepts), len(weights) - len(self.negated)
+        slices = (slice(first), slice(first, last), slice(last, None))
+        concepts, joint, negated = (tuple(chain.from_iterable(weights[part])) for part in slices)
+        return Mixture(concepts, joint, negated, self.lambdas, self.agd)
+
+
+def checked_composing(concepts: object, method: object, text: Any, lambdas: object, agd: object) -> Composing:
+    """All that says what is composed.
+
+    A negated concept counts by Eq. 8, with its own weight whatever the lambdas; only "semantic" alone negates inside
+    the mean of Eq. 9.
+
+    Raises:
+        InvalidInputError: see `checked_concepts`; an unknown method, a joint text or shares for another method than
+            "fused", shares that are no three numbers from 0 to 1 with sum 1, weights that Eq. 9 cannot divide by, or
+            step sizes that are no two numbers from 0 to 1.
+    """
+    found = checked_concepts(concepts)
+    wanted = found if method == "semantic" else tuple(concept for concept in found if concept.weight > 0)
+    negated = () if method == "semantic" else tuple(concept for concept in found if concept.weight < 0)
+    shares = checked_lambdas(method, lambdas, text, wanted)
+    joint = joint_caption(found) if text is None else text
+    if not isinstance(joint, SemanticGraph):
+        check_caption(joint)
+    return Composing(wanted, negated, joint, shares, _step_sizes(agd))
+
+
+def _step_sizes(agd: object) -> tuple[float, float]:
+    if agd is None:
+        return 0.0, 0.0
+    wrong = f"agd must be two step sizes from 0 to {MAX_STEP_SIZE:g}, like (0.0004, 0.0004), not {agd!r}"
+    if not isinstance(agd, list | tuple) or len(agd) != 2:
+        raise InvalidInputError(wrong)
+    for value in agd:
+        if isinstance(value, bool) or not isinstance(value, int | float) or not 0 <= value <= MAX_STEP_SIZE:
+            raise InvalidInputError(wrong)
+    attention, regularisation = (float(value) for value in agd)
+    return attention, regularisation
+
+
 def checked_lambdas(
     method: object, lambdas: object, text: object, concepts: Sequence[Concept]
 ) -> tuple[float, float, float]:
-    """Shares of the latent-aware, semantic-aware and joint-text terms.
-
-    Raises:
-        InvalidInputError: an unknown method, a joint text or shares for another method than "fused", shares that are
-            no three numbers from 0 to 1 with sum 1, or weights that Eq. 9 cannot divide by.
-    """
+    """Shares of the latent-aware, semantic-aware and joint-text terms; raises as `checked_composing`."""
     if method not in METHODS:
         raise InvalidInputError(f"method must be one of {', '.join(METHODS)}, not {method!r}")
     for name, value in (("lambdas", lambdas), ("text", text)):
@@ -95,7 +159,7 @@ def checked_lambdas(
             raise InvalidInputError(
                 f"the weights sum to {total:g} and their sizes to {size:g}; the semantic-aware term divides by the "
                 f"sum, which must be at least {MIN_SUM:g} and a {MAX_RATIO:g}th of the sizes: make the negations "
-                "weaker, or use method 'latent'"
+                "weaker or the rest stronger, or use another method"
             )
     return shares
 

@@ -23,6 +23,10 @@ LEVELS: Final[tuple[str, ...]] = ("motion", "action", "specific")
 COARSE_DECODERS: Final[Mapping[str, str]] = {level: f"decoder_{level}" for level in LEVELS[:-1]}
 """Level -> graph that shows how far a clip has come after it; a bundle need not have them."""
 
+AGD_CONTEXTS: Final[Mapping[str, str]] = {level: f"context_{level}_agd" for level in LEVELS}
+AGD_STEPS: Final[Mapping[str, str]] = {level: f"step_{level}_agd" for level in LEVELS}
+"""Level -> graphs of adaptive gradient descent (EnergyMoGen, Eq. 3, 4); a bundle has all of them or none."""
+
 NODE_KINDS: Final[tuple[str, ...]] = ("motion", "action", "specific")
 """Position is the number in a context graph's `kind` input."""
 
@@ -128,6 +132,15 @@ def _keys_values(level: LevelSpec, rows: str) -> tuple[TensorSpec, ...]:
     return tuple(TensorSpec(f"{kind}_{layer}", axes) for layer in range(level.layers) for kind in ("key", "value"))
 
 
+def _context_inputs(text_width: int, coarse: LevelSpec | None) -> tuple[TensorSpec, ...]:
+    nodes = (
+        TensorSpec("nodes", ("B", "N", text_width)),
+        TensorSpec("kind", ("B", "N"), INT),
+        TensorSpec("order", ("B", "N"), INT),
+    )
+    return nodes if coarse is None else (*nodes, TensorSpec("coarse", ("B", coarse.tokens, coarse.latent_width)))
+
+
 def context(name: str, level: LevelSpec, text_width: int, coarse: LevelSpec | None) -> GraphContract:
     """Keys and values of one level, once per sample.
 
@@ -137,14 +150,13 @@ def context(name: str, level: LevelSpec, text_width: int, coarse: LevelSpec | No
         text_width: D, width of the graph encoder's nodes.
         coarse: the level above, whose latent is an input; None at the motion level.
     """
-    inputs: tuple[TensorSpec, ...] = (
-        TensorSpec("nodes", ("B", "N", text_width)),
-        TensorSpec("kind", ("B", "N"), INT),
-        TensorSpec("order", ("B", "N"), INT),
-    )
-    if coarse is not None:
-        inputs += (TensorSpec("coarse", ("B", coarse.tokens, coarse.latent_width)),)
-    return GraphContract(f"context_{name}", inputs, _keys_values(level, "B"))
+    return GraphContract(f"context_{name}", _context_inputs(text_width, coarse), _keys_values(level, "B"))
+
+
+def context_agd(name: str, level: LevelSpec, text_width: int, coarse: LevelSpec | None) -> GraphContract:
+    """The tokens that keys and values are made of, instead of them; arguments as for `context`."""
+    tokens = (TensorSpec("context", ("B", "S", level.width)),)
+    return GraphContract(AGD_CONTEXTS[name], _context_inputs(text_width, coarse), tokens)
 
 
 def clock(name: str, level: LevelSpec) -> GraphContract:
@@ -159,16 +171,26 @@ def step(name: str, level: LevelSpec) -> GraphContract:
 
     `bias` holds the log edge weights of the context tokens and `PADDING_BIAS` on padding.
     """
+    return _step(f"step_{name}", level, _keys_values(level, "A"))
+
+
+def step_agd(name: str, level: LevelSpec) -> GraphContract:
+    """`step` with a context that moves from layer to layer; `gamma` holds the step sizes gamma_attn and gamma_reg."""
+    moving = (TensorSpec("context", ("A", "S", level.width)), TensorSpec("gamma", ("A", 2)))
+    return _step(AGD_STEPS[name], level, moving)
+
+
+def _step(graph: str, level: LevelSpec, attended: tuple[TensorSpec, ...]) -> GraphContract:
     latent = ("R", level.tokens, level.latent_width)
     inputs = (
         TensorSpec("latent", latent),
         TensorSpec("modulation", ("R", level.modulations, level.width)),
-        *_keys_values(level, "A"),
+        *attended,
         TensorSpec("src", ("A",), INT),
         TensorSpec("combine", ("R", "A")),
         TensorSpec("bias", ("A", 1, level.tokens, "S")),
     )
-    return GraphContract(f"step_{name}", inputs, (TensorSpec("noise", latent),))
+    return GraphContract(graph, inputs, (TensorSpec("noise", latent),))
 
 
 def decoder(name: str, level: LevelSpec, features: int) -> GraphContract:
@@ -192,13 +214,15 @@ def contracts(levels: Mapping[str, LevelSpec], text_width: int, features: int) -
         features: F, the width of the feature layout.
     """
     graphs = [text_encoder(text_width), graph_encoder(text_width)]
+    adaptive: list[GraphContract] = []
     coarse: LevelSpec | None = None
     for name in LEVELS:
         own = levels[name]
         graphs += [context(name, own, text_width, coarse), clock(name, own), step(name, own)]
+        adaptive += [context_agd(name, own, text_width, coarse), step_agd(name, own)]
         coarse = levels[name]
     graphs.append(decoder("decoder", levels[LEVELS[-1]], features))
-    graphs += [decoder(graph, levels[level], features) for level, graph in COARSE_DECODERS.items()]
+    graphs += [decoder(graph, levels[level], features) for level, graph in COARSE_DECODERS.items()] + adaptive
     return {graph.name: graph for graph in graphs}
 
 
@@ -209,6 +233,12 @@ GRAPHS: Final[tuple[str, ...]] = (
     "decoder",
 )
 """Names of all graphs that a bundle must have, in the order of running."""
+
+OPTIONAL_GRAPHS: Final[tuple[str, ...]] = (
+    *COARSE_DECODERS.values(),
+    *(names[level] for level in LEVELS for names in (AGD_CONTEXTS, AGD_STEPS)),
+)
+"""Names of those that it may have; read at their first use."""
 
 
 def check(inputs: Iterable[Tensor], outputs: Iterable[Tensor], contract: GraphContract) -> None:

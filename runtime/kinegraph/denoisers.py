@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from kinegraph.conditions import Conditions, for_level, stacked, without_anything, without_text
 from kinegraph.contract import LEVELS
-from kinegraph.diffusion.composition import Wiring, composition, mixed
+from kinegraph.diffusion.composition import Mixture, Wiring, composition, mixed, step_sizes
 from kinegraph.diffusion.ddim import DdimCoefficients
 from kinegraph.diffusion.guidance import guided
 from kinegraph.diffusion.sampler import (
@@ -51,41 +51,51 @@ class Denoisers:
         return self._sampled(options, predictor_for, on_step)
 
     def composed(
-        self,
-        encoded: Conditions,
-        weights: Sequence[float],
-        joint: Sequence[float],
-        shares: tuple[float, float, float],
-        options: GenerateOptions,
-        on_step: OnStep | None,
+        self, encoded: Conditions, mixture: Mixture, options: GenerateOptions, on_step: OnStep | None
     ) -> FloatArray:
         """Latent of the finest level from several graphs, one run per step whatever the method.
 
-        Rows of `encoded` come in the order of `weights`, then of `joint`, the graphs of the joint text.
+        Rows of `encoded` come in the order of the mixture's weights, its joint text and its negated concepts.
         """
 
         def predictor_for(number: int, times: DdimCoefficients, coarse: FloatArray | None) -> Predict:
-            name = LEVELS[number]
-            apart = coarse is not None and self.manifest.defaults.guidance_base == "empty"
-            plan = composition(weights, shares, options.guidance[name], coarse=apart, joint_weights=joint)
-            seen = for_level(encoded, self.manifest.levels[name].nodes)
-            first = Conditions(*(part[:1] for part in vars(seen).values()))
-            known = stacked(stacked(self._base(first), without_text(first)), seen)
-            rows = len(plan.mix)
-            shared = None if coarse is None else np.repeat(coarse, len(known.kind), axis=0)
-            network = self._network(name, known, shared, plan.wiring, np.full(rows, options.frames), times)
-            return lambda latent, step: mixed(network(np.repeat(latent, rows, axis=0), step), plan.mix)
+            return self.predictor_of(LEVELS[number], encoded, mixture, coarse, options, times)
 
         return self._sampled([options], predictor_for, on_step)
+
+    def predictor_of(
+        self,
+        name: str,
+        encoded: Conditions,
+        mixture: Mixture,
+        coarse: FloatArray | None,
+        options: GenerateOptions,
+        times: DdimCoefficients,
+    ) -> Predict:
+        """Guided noise prediction of one level for a mixture, one sample at a time."""
+        apart = coarse is not None and self.manifest.defaults.guidance_base == "empty"
+        plan = composition(mixture, options.guidance[name], coarse=apart)
+        gamma = step_sizes(plan.wiring, mixture.agd) if any(mixture.agd) else None
+        seen = for_level(encoded, self.manifest.levels[name].nodes)
+        first = Conditions(*(part[:1] for part in vars(seen).values()))
+        known = stacked(stacked(self._base(first), without_text(first)), seen)
+        rows = len(plan.mix)
+        shared = None if coarse is None else np.repeat(coarse, len(known.kind), axis=0)
+        network = self._network(name, known, shared, plan.wiring, np.full(rows, options.frames), times, gamma)
+        return lambda latent, step: mixed(network(np.repeat(latent, rows, axis=0), step), plan.mix)
+
+    def plans(self, options: GenerateOptions) -> list[LevelPlan]:
+        """The levels of a run."""
+        return [
+            LevelPlan(name, spec.tokens, spec.latent_width, options.steps[name])
+            for name, spec in ((name, self.manifest.levels[name]) for name in LEVELS)
+        ]
 
     def _sampled(
         self, options: Sequence[GenerateOptions], predictor_for: PredictorFor, on_step: OnStep | None
     ) -> FloatArray:
         """All levels, each sample from the noise of its own seed."""
-        plans = [
-            LevelPlan(name, spec.tokens, spec.latent_width, options[0].steps[name])
-            for name, spec in ((name, self.manifest.levels[name]) for name in LEVELS)
-        ]
+        plans = self.plans(options[0])
         per_sample = [initial_noise(each.seed, plans) for each in options]
         noises = [np.stack(level) for level in zip(*per_sample, strict=True)]
         return coarse_to_fine(plans, noises, predictor_for, self.manifest.schedule.noise, on_step, self.on_latent)[-1]
@@ -106,8 +116,8 @@ class Denoisers:
         network = self._network(name, known, twice, Wiring.straight(2 * len(frames)), np.tile(frames, 2), times)
 
         def predict(latent: FloatArray, step: int) -> FloatArray:
-            unconditional, conditional = np.split(network(np.concatenate([latent, latent]), step), 2)
-            return guided(unconditional, conditional, scale)
+            both, half = network(np.concatenate([latent, latent]), step), len(latent)
+            return guided(both[:half], both[half:], scale)
 
         return predict
 
@@ -123,7 +133,11 @@ class Denoisers:
         wiring: Wiring,
         frames: NDArray[np.int64],
         times: DdimCoefficients,
+        gamma: FloatArray | None = None,
     ) -> RowNetwork:
         sessions = self.sessions
         modulation = modulations(sessions.clock[name], times.timesteps, frames)
-        return row_network(sessions.context[name], sessions.step[name], known, coarse, wiring, modulation)
+        context, step = sessions.context[name], sessions.step[name]
+        if gamma is not None:
+            context, step = sessions.context_agd[name](), sessions.step_agd[name]()
+        return row_network(context, step, known, coarse, wiring, modulation, gamma)

@@ -6,7 +6,7 @@ import re
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Final
 
-from kinegraph.contract import COARSE_DECODERS, GRAPHS, LEVELS, NODE_KINDS, LevelSpec
+from kinegraph.contract import AGD_CONTEXTS, AGD_STEPS, GRAPHS, LEVELS, NODE_KINDS, OPTIONAL_GRAPHS, LevelSpec
 from kinegraph.errors import BundleFormatError, InvalidInputError
 from kinegraph.limits import MAX_FRAMES
 from kinegraph.motion.skeleton import JOINT_NAMES, PARENTS
@@ -15,15 +15,18 @@ from kinegraph.text.roles import ROLES
 if TYPE_CHECKING:
     from kinegraph.manifest import Defaults, FeatureSpec, FileSpec, FrameSpec, Manifest, ScheduleSpec
 
-FORMAT_VERSION: Final = 2
+FORMAT_VERSION: Final = 3
+OLDEST_VERSION: Final = 2
+"""Format 2 knows no coarse decoders and no graphs of adaptive gradient descent."""
 
 GRAPH_FILES: Final[tuple[str, ...]] = tuple(f"{graph}.onnx" for graph in GRAPHS)
 REQUIRED_FILES: Final[frozenset[str]] = frozenset((*GRAPH_FILES, "tokenizer.json", "tables.npz"))
-OPTIONAL_FILES: Final[frozenset[str]] = frozenset(
-    ("parser.bin", *(f"{graph}.onnx" for graph in COARSE_DECODERS.values()))
-)
-"""Without the parser a bundle takes graphs, but no plain sentences; without the coarse decoders it shows no clip before
-the last level is done."""
+OPTIONAL_GRAPH_FILES: Final[frozenset[str]] = frozenset(f"{graph}.onnx" for graph in OPTIONAL_GRAPHS)
+OPTIONAL_FILES: Final[frozenset[str]] = OPTIONAL_GRAPH_FILES | {"parser.bin", "arguments.npz"}
+"""Without the parser a bundle takes graphs, but no plain sentences; without arguments.npz its parser goes by rules;
+without the coarse decoders it shows no clip before the last level is done; without the graphs of adaptive gradient
+descent it refuses to compose with it."""
+AGD_FILES: Final[frozenset[str]] = frozenset(f"{graph}.onnx" for graph in (*AGD_CONTEXTS.values(), *AGD_STEPS.values()))
 
 MAX_DIMS: Final[Mapping[str, int]] = {
     "tokens": 256,
@@ -59,9 +62,10 @@ def _require(holds: bool, key: str, message: str) -> None:
 def check_version(version: int) -> None:
     """Raise BundleFormatError unless this kinegraph reads that format."""
     _require(
-        version == FORMAT_VERSION,
+        OLDEST_VERSION <= version <= FORMAT_VERSION,
         "format_version",
-        f"is {version}, this kinegraph reads {FORMAT_VERSION}; install the release the bundle was built for",
+        f"is {version}, this kinegraph reads {OLDEST_VERSION} to {FORMAT_VERSION}; "
+        "install the release the bundle was built for",
     )
 
 
@@ -191,6 +195,10 @@ def _check_files(files: Mapping[str, FileSpec], operators: Mapping[str, tuple[st
         _require(entry.bytes >= 0, f"files.{name}.bytes", f"must not be negative, found {entry.bytes}")
     missing = sorted(REQUIRED_FILES - set(files))
     _require(not missing, "files", f"lacks {missing}")
+    adaptive = AGD_FILES & set(files)
+    _require(
+        not adaptive or adaptive == AGD_FILES, "files", f"has {sorted(adaptive)}, of {sorted(AGD_FILES)} all or none"
+    )
     graphs = sorted(name for name in files if name.endswith(".onnx"))
     _require(
         sorted(operators) == graphs, "operators", f"must have exactly the keys {graphs}, found {sorted(operators)}"

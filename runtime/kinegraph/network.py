@@ -33,16 +33,18 @@ def row_network(
     coarse: FloatArray | None,
     wiring: Wiring,
     modulation: FloatArray,
+    gamma: FloatArray | None = None,
 ) -> RowNetwork:
     """Noise predictions of R rows, for one level.
 
     Args:
-        context: session of context_{level}.
-        step: session of step_{level}.
+        context: session of context_{level}, or of context_{level}_agd.
+        step: session of step_{level}, or of step_{level}_agd.
         known: K conditions.
         coarse: (K, C', z') latent of the level above for each of them.
         wiring: of contexts and rows.
         modulation: (K, R, m, d), see `modulations`.
+        gamma: (A, 2) step sizes of adaptive gradient descent, for the graphs of it.
     """
     feeds = {"nodes": known.nodes, "kind": known.kind, "order": known.order}
     bias = known.bias
@@ -50,11 +52,12 @@ def row_network(
         feeds["coarse"] = coarse
         bias = np.concatenate([bias, np.repeat(known.coarse_bias, coarse.shape[1], axis=1)], axis=1)
     names = [output.name for output in context.get_outputs()]
-    keys_values = context.run(names, feeds)
+    attended = context.run(names, feeds)
     tokens = step.get_inputs()[0].shape[1]
     spread = np.repeat(bias[wiring.context][:, None, None, :], tokens, axis=2)
     constant = {
-        **{name: value[wiring.context] for name, value in zip(names, keys_values, strict=True)},
+        **{name: value[wiring.context] for name, value in zip(names, attended, strict=True)},
+        **({} if gamma is None else {"gamma": gamma}),
         "src": wiring.src,
         "combine": wiring.combine,
         "bias": spread,

@@ -62,8 +62,7 @@ def check_self_contained(data: bytes, name: str) -> None:
     """
     if data[4:8] == b"ORTM":
         raise BundleFormatError(f"{name} is in the ORT format, whose operators cannot be listed; export it as ONNX")
-    # Every external tensor has an entry with the key "location", so most files need no walk.
-    if b"location" in data and summarise(data, name).external_data:
+    if summarise(data, name).external_data:
         raise BundleFormatError(f"{name} keeps tensors in another file; export it with all data inside")
 
 

@@ -5,14 +5,14 @@ from __future__ import annotations
 import math
 import secrets
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from numbers import Integral, Real
 from types import MappingProxyType
 from typing import Any, Final, TypeVar
 
 from kinegraph.contract import LEVELS
 from kinegraph.errors import InvalidInputError
-from kinegraph.limits import MAX_PARTS, MAX_TAKES
+from kinegraph.limits import MAX_TAKES
 from kinegraph.manifest import Manifest, ScheduleSpec
 
 MAX_GUIDANCE: Final = 20.0
@@ -78,28 +78,37 @@ def generate_options(
     )
 
 
-def with_seeds(options: GenerateOptions, count: object) -> list[GenerateOptions]:
-    """The same wishes for several takes, whose seeds follow one another.
+def batch_seeds(first: int, texts: int, takes: object) -> list[int]:
+    """The seeds of a batch, one after another.
 
     Raises:
-        InvalidInputError: not 1 to `limits.MAX_TAKES`, or seeds that end beyond the largest.
+        InvalidInputError: takes that are no whole number, more than `limits.MAX_TAKES` clips, or seeds that end beyond
+            the largest.
     """
-    number = _whole(count)
+    number = _whole(takes)
     if number is None or not 1 <= number <= MAX_TAKES:
-        raise InvalidInputError(f"takes must be a whole number from 1 to {MAX_TAKES}, not {_shown(count)}")
-    return [replace(options, seed=_seed(options.seed + take)) for take in range(number)]
+        raise InvalidInputError(f"takes must be a whole number from 1 to {MAX_TAKES}, not {_shown(takes)}")
+    if texts * number > MAX_TAKES:
+        raise InvalidInputError(f"{texts} sentences of {number} takes; {MAX_TAKES} clips at most share a run")
+    return [_seed(first + place) for place in range(texts * number)]
 
 
-def part_lengths(texts: object, seconds: object) -> list[Any]:
-    """The length of every part of a sequence; None where its sentence decides.
+def part_lengths(texts: object, seconds: object, most: int, what: str) -> list[Any]:
+    """The length of every sentence of several; None where the sentence decides.
+
+    Args:
+        texts: of a sequence or a batch.
+        seconds: one length, one per sentence, or None.
+        most: sentences allowed.
+        what: "a sequence" or "a batch", for messages.
 
     Raises:
-        InvalidInputError: no list of 1 to `limits.MAX_PARTS` sentences, or lengths that are not as many.
+        InvalidInputError: no list of 1 to `most` sentences, or lengths that are not as many.
     """
     if isinstance(texts, str) or not isinstance(texts, Sequence):
-        raise InvalidInputError("a sequence takes a list of sentences")
-    if not 1 <= len(texts) <= MAX_PARTS:
-        raise InvalidInputError(f"a sequence has 1 to {MAX_PARTS} sentences, not {len(texts)}")
+        raise InvalidInputError(f"{what} takes a list of sentences")
+    if not 1 <= len(texts) <= most:
+        raise InvalidInputError(f"{what} has 1 to {most} sentences, not {len(texts)}")
     if not isinstance(seconds, list | tuple):
         return [seconds] * len(texts)
     if len(seconds) != len(texts):

@@ -15,24 +15,27 @@ import onnxruntime
 from numpy.typing import NDArray
 
 from kinegraph.bundle import read_bundle
-from kinegraph.concepts import Concept, checked_concepts, checked_lambdas, joint_caption
-from kinegraph.conditions import Conditions, GraphArrays, conditions, graph_arrays, padded, repeated
+from kinegraph.concepts import Composing, Concept, checked_composing
+from kinegraph.conditions import Conditions, GraphArrays, conditions, padded, repeated
 from kinegraph.contract import LEVELS
 from kinegraph.decoding import decode, finite
 from kinegraph.denoisers import Denoisers
+from kinegraph.diffusion.composition import Mixture
 from kinegraph.diffusion.sampler import OnStep, part_of
 from kinegraph.duration import with_own_length
 from kinegraph.edits import edge_terms
 from kinegraph.errors import InvalidInputError
 from kinegraph.graph import SemanticGraph
+from kinegraph.limits import MAX_PARTS, MAX_TAKES
 from kinegraph.manifest import Manifest
 from kinegraph.motion.clip import Clip
 from kinegraph.motion.feet import planted_feet
 from kinegraph.motion.joining import joined
-from kinegraph.options import GenerateOptions, Guidance, Steps, generate_options, part_lengths, with_seeds
+from kinegraph.options import GenerateOptions, Guidance, Steps, batch_seeds, generate_options, part_lengths
 from kinegraph.sessions import Sessions, open_sessions
 from kinegraph.tables import DURATION, bones_of
 from kinegraph.text.parser import LazyParser, check_caption
+from kinegraph.text.states import caption_arrays
 from kinegraph.text.tokens import CaptionTokenizer
 
 FloatArray = NDArray[np.float32]
@@ -79,9 +82,11 @@ class MotionPipeline:
             InvalidInputError: `threads` is out of range.
         """
         bundle = read_bundle(None if path is None else Path(path))
-        sessions = open_sessions(bundle, threads=threads, options=session_options)
-        tokenizer = CaptionTokenizer(bundle.files["tokenizer.json"])
-        return cls(bundle.manifest, sessions, tokenizer, bundle.tables, LazyParser(bundle.files.get("parser.bin")))
+        files = dict(bundle.files)
+        bundle = replace(bundle, files={})  # so that only `files` holds the bytes, and a session's go when it is made
+        sessions = open_sessions(bundle, threads=threads, options=session_options, files=files)
+        tokenizer = CaptionTokenizer(files["tokenizer.json"])
+        return cls(bundle.manifest, sessions, tokenizer, bundle.tables, LazyParser.of(files))
 
     def parse(self, text: str) -> SemanticGraph:
         """The semantic graph of a sentence: look at it, edit it, hand it back to `generate`.
@@ -131,12 +136,12 @@ class MotionPipeline:
         arrays = [self._arrays(each) for each, _ in terms]
         if seconds is None:
             options = with_own_length(options, self._tables.get(DURATION), self.manifest, arrays[:1])
-        encoded, weights = self._encode(arrays), [weight for _, weight in terms]
+        encoded, weights = self._encode(arrays), tuple(weight for _, weight in terms)
         denoisers = self._denoisers(options, graph.caption, on_level)
-        if weights == [1.0]:
+        if weights == (1.0,):
             latent = denoisers.guided(encoded, [options], on_step)
         else:
-            latent = denoisers.composed(encoded, weights, [], (1.0, 0.0, 0.0), options, on_step)
+            latent = denoisers.composed(encoded, Mixture(weights), options, on_step)
         return replace(self._clips(latent, [options], [graph.caption])[0], graph=graph)
 
     def takes(
@@ -151,33 +156,54 @@ class MotionPipeline:
         foot_fix: bool = True,
         on_step: OnStep | None = None,
     ) -> list[Clip]:
-        """Several clips for one sentence, which share the runs of the models.
+        """Several clips for one sentence: a `batch` of it alone, `count` takes, 1 to `limits.MAX_TAKES`."""
+        wishes: dict[str, Any] = {"steps": steps, "guidance": guidance, "foot_fix": foot_fix}
+        return self.batch([text], takes=count, seconds=seconds, seed=seed, on_step=on_step, **wishes)
 
-        Take k is what `generate` makes of seed + k, to 0.1 mm: sums of a larger run are rounded in another order.
+    def batch(
+        self,
+        texts: Sequence[str | SemanticGraph],
+        *,
+        takes: int = 1,
+        seconds: float | Sequence[float] | None = None,
+        seed: int | None = None,
+        steps: Steps | None = None,
+        guidance: Guidance | None = None,
+        foot_fix: bool = True,
+        on_step: OnStep | None = None,
+    ) -> list[Clip]:
+        """Clips for many sentences, which share the runs of the models: all takes of the first, then of the second ...
+
+        Clip k is what `generate` makes of its sentence with seed + k: in an fp32 bundle to 0.1 mm, because sums of a
+        larger run are rounded in another order; in an int8 bundle roughly, because one scale spans a run.
 
         Args:
-            text: a sentence, or its graph; as it was parsed, without weights on its edges.
-            count: 1 to `limits.MAX_TAKES`.
-            seconds, seed, steps, guidance, foot_fix, on_step: as in `generate`.
+            texts: sentences or graphs; as they were parsed, without weights on their edges.
+            takes: of each; `limits.MAX_TAKES` clips at most in all.
+            seconds: one length, one per sentence, or None for what each asks for.
+            seed, steps, guidance, foot_fix, on_step: as in `generate`.
 
         Raises:
-            InvalidInputError: as in `generate`, a wrong count, or a graph with weights.
-            Cancelled, NonFiniteError: as in `generate`.
+            InvalidInputError, Cancelled, NonFiniteError: as in `generate`; also for too many clips, and for weights.
         """
-        options = generate_options(
-            self.manifest, seconds=seconds, seed=seed, steps=steps, guidance=guidance, foot_fix=foot_fix
-        )
-        wishes = with_seeds(options, count)
-        graph = text if isinstance(text, SemanticGraph) else self.parse(text)
-        if any(node.weight != 1 for node in graph.nodes):
-            raise InvalidInputError("takes share one run, which cannot weigh edges; make weighted clips one by one")
-        arrays = [self._arrays(graph)]
-        if seconds is None:
-            length = with_own_length(options, self._tables.get(DURATION), self.manifest, arrays)
-            wishes = [replace(each, frames=length.frames, seconds=length.seconds) for each in wishes]
-        encoded = repeated(self._encode(arrays), count)
-        latent = Denoisers(self._sessions, self.manifest).guided(encoded, wishes, on_step)
-        return [replace(clip, graph=graph) for clip in self._clips(latent, wishes, [graph.caption] * count)]
+        lengths = part_lengths(texts, seconds, MAX_TAKES, "a batch")
+        wishes: dict[str, Any] = {"seed": seed, "steps": steps, "guidance": guidance, "foot_fix": foot_fix}
+        options = [generate_options(self.manifest, seconds=length, **wishes) for length in lengths]
+        seeds = batch_seeds(options[0].seed, len(options), takes)
+        graphs = [text if isinstance(text, SemanticGraph) else self.parse(text) for text in texts]
+        if any(node.weight != 1 for graph in graphs for node in graph.nodes):
+            raise InvalidInputError("clips that share one run cannot weigh edges; make weighted clips one by one")
+        arrays = caption_arrays(self._sessions.text_encoder, self._tokenizer, graphs)
+        own = [
+            with_own_length(each, self._tables.get(DURATION), self.manifest, [known]) if length is None else each
+            for each, known, length in zip(options, arrays, lengths, strict=True)
+        ]
+        each_clip = [replace(own[place // takes], seed=value) for place, value in enumerate(seeds)]
+        encoded = repeated(self._encode(arrays), takes)
+        latent = Denoisers(self._sessions, self.manifest).guided(encoded, each_clip, on_step)
+        own_graphs = [graph for graph in graphs for _ in range(takes)]
+        clips = self._clips(latent, each_clip, [graph.caption for graph in own_graphs])
+        return [replace(clip, graph=graph) for clip, graph in zip(clips, own_graphs, strict=True)]
 
     def sequence(
         self,
@@ -201,7 +227,7 @@ class MotionPipeline:
         Raises:
             InvalidInputError, Cancelled, NonFiniteError: as in `generate`.
         """
-        lengths = part_lengths(texts, seconds)
+        lengths = part_lengths(texts, seconds, MAX_PARTS, "a sequence")
         wishes: dict[str, Any] = {"steps": steps, "guidance": guidance, "foot_fix": foot_fix}
         options = [generate_options(self.manifest, seconds=length, seed=seed, **wishes) for length in lengths]
         graphs = [text if isinstance(text, SemanticGraph) else self.parse(text) for text in texts]
@@ -223,6 +249,7 @@ class MotionPipeline:
         method: str = "fused",
         text: str | SemanticGraph | None = None,
         lambdas: tuple[float, float, float] | None = None,
+        agd: tuple[float, float] | None = None,
         seconds: float | None = None,
         seed: int | None = None,
         steps: Steps | None = None,
@@ -231,40 +258,49 @@ class MotionPipeline:
         on_step: OnStep | None = None,
         on_level: OnLevel | None = None,
     ) -> Clip:
-        """A clip in which several motions happen at once, or do not (EnergyMoGen, Eq. 7-10).
+        """A clip in which several motions happen at once, or do not (EnergyMoGen, Eq. 3, 4, 7-10).
 
         Args:
             concepts: up to 8; a negative weight is what must not happen.
             method: "latent" adds predictions (Eq. 7, 8), "semantic" mixes attention (Eq. 9), "fused" blends both
-                with the joint text (Eq. 10).
+                with the joint text (Eq. 10) and takes away what is negated (Eq. 8).
             text: the joint text of "fused"; None joins the positive concepts with "while".
             lambdas: of "fused": shares of latent, semantic and joint text; default (0.1, 0.3, 0.6).
+            agd: step sizes (gamma_attn, gamma_reg) of adaptive gradient descent (Eq. 3, 4), each 0 to 1: EnergyMoGen
+                has (0.0004, 0.0004) for several concepts and (0.001, 0.002) for one sentence of several; None is off.
             seconds, seed, steps, guidance, foot_fix, on_step, on_level: as in `generate`.
 
         Raises:
-            InvalidInputError: a concept, weight or option is outside what can be composed; nothing has been run.
+            InvalidInputError: a concept, weight or option is outside what can be composed, or the bundle has no
+                graphs for `agd`; nothing has been run.
             Cancelled, NonFiniteError: as in `generate`.
         """
-        found = checked_concepts(concepts)
-        shares = checked_lambdas(method, lambdas, text, found)
+        what = checked_composing(concepts, method, text, lambdas, agd)
         options = generate_options(
             self.manifest, seconds=seconds, seed=seed, steps=steps, guidance=guidance, foot_fix=foot_fix
         )
-        joint = joint_caption(found) if text is None else text
-        wanted = [concept.text for concept in found] + ([joint] if shares[2] else [])
-        graphs = [each if isinstance(each, SemanticGraph) else self.parse(each) for each in wanted]
-        terms = [edge_terms(graph) for graph in graphs]
-        arrays = [[self._arrays(each) for each, _ in own] for own in terms]
-        if seconds is None:
-            wanted_ones = [own[0] for own, concept in zip(arrays, found, strict=False) if concept.weight > 0]
-            options = with_own_length(options, self._tables.get(DURATION), self.manifest, wanted_ones)
-        encoded = self._encode([each for own in arrays for each in own])
-        weights = [one.weight * part for one, own in zip(found, terms, strict=False) for _, part in own]
-        joint_weights = [part for own in terms[len(found) :] for _, part in own]
-        caption = joint.caption if isinstance(joint, SemanticGraph) else joint
-        denoisers = self._denoisers(options, caption, on_level)
-        latent = denoisers.composed(encoded, weights, joint_weights, shares, options, on_step)
+        encoded, mixture, options = self._mixed(what, options, seconds is None)
+        caption = what.joint.caption if isinstance(what.joint, SemanticGraph) else what.joint
+        latent = self._denoisers(options, caption, on_level).composed(encoded, mixture, options, on_step)
         return self._clips(latent, [options], [caption])[0]
+
+    def _mixed(
+        self, what: Composing, options: GenerateOptions, own_length: bool
+    ) -> tuple[Conditions, Mixture, GenerateOptions]:
+        """What is composed, encoded; `own_length` asks the concepts for the length."""
+        if any(what.agd) and not self._sessions.step_agd:
+            raise InvalidInputError(
+                f"bundle {self.manifest.name} {self.manifest.version} has no graphs for adaptive gradient descent: "
+                "leave agd out, or export the bundle again with this kinegraph"
+            )
+        graphs = [text if isinstance(text, SemanticGraph) else self.parse(text) for text, _ in what.parts]
+        terms = [edge_terms(graph) for graph in graphs]
+        arrays = [[self._arrays(term) for term, _ in own] for own in terms]
+        if own_length:
+            wanted = [own[0] for own, concept in zip(arrays, what.concepts, strict=False) if concept.weight > 0]
+            options = with_own_length(options, self._tables.get(DURATION), self.manifest, wanted)
+        encoded = self._encode([each for own in arrays for each in own])
+        return encoded, what.mixture([[part for _, part in own] for own in terms]), options
 
     def _denoisers(self, options: GenerateOptions, caption: str, on_level: OnLevel | None) -> Denoisers:
         """The diffusion models, which tell `on_level` of every level that can be decoded."""
@@ -288,10 +324,7 @@ class MotionPipeline:
         ]
 
     def _arrays(self, graph: SemanticGraph) -> GraphArrays:
-        tokens = self._tokenizer.encode(graph.caption)
-        feeds = {"input_ids": tokens.ids[None], "attention_mask": tokens.mask[None]}
-        hidden, pooled = self._sessions.text_encoder.run(["hidden", "pooled"], feeds)
-        return graph_arrays(graph, tokens, hidden[0], pooled[0])
+        return caption_arrays(self._sessions.text_encoder, self._tokenizer, [graph])[0]
 
     def _encode(self, arrays: Sequence[GraphArrays]) -> Conditions:
         """Graph attention over a batch of graphs."""

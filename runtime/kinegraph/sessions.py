@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Mapping
+import threading
+from collections.abc import Callable, Mapping, MutableMapping
 from dataclasses import dataclass
-from functools import cache, partial
 from types import MappingProxyType
 from typing import Final
 
@@ -13,7 +13,7 @@ import onnxruntime
 from onnxruntime.capi import onnxruntime_pybind11_state as _state
 
 from kinegraph.bundle import Bundle
-from kinegraph.contract import COARSE_DECODERS, LEVELS, GraphContract, check
+from kinegraph.contract import AGD_CONTEXTS, AGD_STEPS, COARSE_DECODERS, LEVELS, GraphContract, check
 from kinegraph.errors import BundleError, InvalidInputError
 
 MAX_THREADS: Final = 256
@@ -27,9 +27,24 @@ ORT_ERRORS: Final[tuple[type[Exception], ...]] = (
 
 # onnxruntime's SkipLayerNormalization is slower than Add + LayerNormalization at these sizes, the more so
 # after quantising, because the matrix product before it can then take its bias in.
-_DISABLED_OPTIMIZERS: Final = ["SkipLayerNormFusion"]
+DISABLED_OPTIMIZERS: Final = ["SkipLayerNormFusion"]
 
 _ERRORS_ONLY: Final = 3
+
+
+class Deferred:
+    """A session that is made at its first use, once, whichever thread asks first."""
+
+    def __init__(self, make: Callable[[], onnxruntime.InferenceSession]) -> None:
+        self._make = make
+        self._lock = threading.Lock()
+        self._session: onnxruntime.InferenceSession | None = None
+
+    def __call__(self) -> onnxruntime.InferenceSession:
+        with self._lock:
+            if self._session is None:
+                self._session = self._make()
+            return self._session
 
 
 @dataclass(frozen=True)
@@ -45,8 +60,15 @@ class Sessions:
     step: Mapping[str, onnxruntime.InferenceSession]
     """By level."""
     decoder: onnxruntime.InferenceSession
-    coarse_decoders: Mapping[str, Callable[[], onnxruntime.InferenceSession]]
-    """By level, as far as the bundle has them; each is made at its first use."""
+    coarse_decoders: Mapping[str, Deferred]
+    """By level, as far as the bundle has them; so are the next two."""
+    context_agd: Mapping[str, Deferred]
+    step_agd: Mapping[str, Deferred]
+
+    @property
+    def deferred(self) -> tuple[Deferred, ...]:
+        """All that are made at their first use."""
+        return (*self.coarse_decoders.values(), *self.context_agd.values(), *self.step_agd.values())
 
     def decoder_of(self, level: str) -> onnxruntime.InferenceSession:
         """The decoder of a level that has one."""
@@ -78,7 +100,11 @@ def session_options(threads: int) -> onnxruntime.SessionOptions:
 
 
 def open_sessions(
-    bundle: Bundle, *, threads: int | None = None, options: onnxruntime.SessionOptions | None = None
+    bundle: Bundle,
+    *,
+    threads: int | None = None,
+    options: onnxruntime.SessionOptions | None = None,
+    files: MutableMapping[str, bytes] | None = None,
 ) -> Sessions:
     """Make the sessions of a bundle.
 
@@ -87,6 +113,8 @@ def open_sessions(
         threads: threads of every session. None: two at most, and one for the step sessions, which are too
             small to gain from a second one and hold up better on a busy machine.
         options: the host's own options, used as they are for every session; not together with `threads`.
+        files: content in place of `bundle.files`; each graph is taken out when its session is made, because both at
+            once are twice the memory.
 
     Raises:
         InvalidInputError: `threads` is not 1 to 256, or given together with `options`.
@@ -101,7 +129,15 @@ def open_sessions(
 
     def make(graph: str, settings: onnxruntime.SessionOptions) -> onnxruntime.InferenceSession:
         contract = contracts[graph]
-        return open_session(bundle.files[contract.file], contract, settings)
+        data = bundle.files[contract.file] if files is None else files.pop(contract.file)
+        return open_session(data, contract, settings)
+
+    def deferred(graphs: Mapping[str, str], settings: onnxruntime.SessionOptions) -> Mapping[str, Deferred]:
+        def at_first_use(contract: GraphContract) -> Deferred:
+            return Deferred(lambda: open_session(bundle.optional(contract.file), contract, settings))
+
+        present = {level: contracts[graph] for level, graph in graphs.items() if graph in contracts}
+        return MappingProxyType({level: at_first_use(contract) for level, contract in present.items()})
 
     return Sessions(
         text_encoder=make("text_encoder", wide),
@@ -110,9 +146,9 @@ def open_sessions(
         clock=MappingProxyType({level: make(f"clock_{level}", narrow) for level in LEVELS}),
         step=MappingProxyType({level: make(f"step_{level}", narrow) for level in LEVELS}),
         decoder=make("decoder", wide),
-        coarse_decoders=MappingProxyType(
-            {level: cache(partial(make, graph, wide)) for level, graph in COARSE_DECODERS.items() if graph in contracts}
-        ),
+        coarse_decoders=deferred(COARSE_DECODERS, wide),
+        context_agd=deferred(AGD_CONTEXTS, wide),
+        step_agd=deferred(AGD_STEPS, narrow),
     )
 
 
@@ -130,10 +166,12 @@ def open_session(
             data,
             sess_options=options,
             providers=["CPUExecutionProvider"],
-            disabled_optimizers=_DISABLED_OPTIMIZERS,
+            disabled_optimizers=DISABLED_OPTIMIZERS,
         )
     except ORT_ERRORS as error:
         raise BundleError(f"onnxruntime {onnxruntime.__version__} cannot load {contract.file}: {error}") from error
+    # onnxruntime keeps the file for switching providers, which nobody does here; without it 40 MB go.
+    session._model_bytes = None
     check(session.get_inputs(), session.get_outputs(), contract)
     return session
 

@@ -8,6 +8,7 @@ from pathlib import Path
 
 from kinegraph.bundle import Bundle, read_bundle
 from kinegraph.errors import BundleFormatError
+from kinegraph.manifest_checks import OPTIONAL_GRAPH_FILES
 from kinegraph.onnx_ops import summarise
 from kinegraph.sessions import open_sessions
 
@@ -38,8 +39,8 @@ def verify_bundle(path: Path | None = None) -> VerifyReport:
     """
     bundle = read_bundle(path)
     operators = {name: _check_operators(bundle, name) for name in bundle.manifest.operators}
-    for open_coarse in open_sessions(bundle, threads=1).coarse_decoders.values():
-        open_coarse()
+    for session in open_sessions(bundle, threads=1).deferred:
+        session()
     manifest = bundle.manifest
     return VerifyReport(
         path=bundle.path,
@@ -52,7 +53,8 @@ def verify_bundle(path: Path | None = None) -> VerifyReport:
 
 
 def _check_operators(bundle: Bundle, name: str) -> int:
-    summary = summarise(bundle.files[name], name)
+    data = bundle.optional(name) if name in OPTIONAL_GRAPH_FILES else bundle.files[name]
+    summary = summarise(data, name)
     if summary.external_data:
         raise BundleFormatError(f"{name} keeps tensors in another file; export it with all data inside")
     listed = bundle.manifest.operators[name]

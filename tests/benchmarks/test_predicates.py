@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import measures
 import numpy as np
 import predicates as p
 import pytest
@@ -10,6 +9,7 @@ from behaviours import BEHAVIOURS, CONTENTS
 from motions import posed, t_pose, turn, walk
 
 from kinegraph.motion.skeleton import JOINT_INDEX, bone_lengths, mirrored
+from kinegraph_training import measures
 
 
 def gesture(left: float, right: float, frames: int = 40, swing: float = 0.0) -> np.ndarray:

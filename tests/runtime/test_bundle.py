@@ -24,6 +24,7 @@ from synthetic_bundle import (
 from kinegraph.bundle import MAX_FILE_BYTES, read_bundle
 from kinegraph.errors import BundleError, BundleFormatError, BundleIntegrityError
 from kinegraph.manifest import FileSpec
+from kinegraph.manifest_checks import OPTIONAL_GRAPH_FILES
 from kinegraph.verify import verify_bundle
 
 FILES = sorted(bundle_files())
@@ -55,7 +56,8 @@ def opened_paths() -> Iterator[list[str]]:
 
 def test_a_good_bundle_is_read_whole(bundle: Path) -> None:
     read = read_bundle(bundle)
-    assert dict(read.files) == bundle_files()
+    everything = {**read.files, **{name: read.optional(name) for name in OPTIONAL_GRAPH_FILES}}
+    assert everything == bundle_files() and not OPTIONAL_GRAPH_FILES & set(read.files)
     assert read.manifest == manifest_for(bundle_files())
     with np.load(io.BytesIO(tables_npz())) as expected:
         assert sorted(read.tables) == sorted(expected.files)
@@ -75,7 +77,21 @@ def test_each_file_is_opened_once_and_nothing_else_is(bundle: Path) -> None:
     read_bundle(bundle)
     with opened_paths() as opened:
         read_bundle(bundle)
-    assert sorted(opened) == sorted(str(bundle / name) for name in [*FILES, "manifest.json"])
+    # optional graphs are left alone until they are used
+    needed = [name for name in [*FILES, "manifest.json"] if name not in OPTIONAL_GRAPH_FILES]
+    assert sorted(opened) == sorted(str(bundle / name) for name in needed)
+
+
+@pytest.mark.parametrize("name", sorted(OPTIONAL_GRAPH_FILES))
+def test_an_optional_graph_is_hashed_when_it_is_read(bundle: Path, name: str) -> None:
+    read = read_bundle(bundle)
+    good = (bundle / name).read_bytes()
+    (bundle / name).write_bytes(bytes([good[0] ^ 1]) + good[1:])
+    with pytest.raises(BundleIntegrityError, match=f"{name} differs"):
+        read.optional(name)
+    (bundle / name).unlink()
+    with pytest.raises(BundleIntegrityError, match=f"{name} is missing"):
+        read.optional(name)
 
 
 @pytest.mark.usefixtures("no_sessions")
@@ -113,7 +129,7 @@ def test_two_swapped_files_are_noticed(bundle: Path) -> None:
         verify_bundle(bundle)
 
 
-@pytest.mark.parametrize("name", ["notes.txt", ".DS_Store", "weights.bin", "DECODER.ONNX", "step_action_agd.onnx"])
+@pytest.mark.parametrize("name", ["notes.txt", ".DS_Store", "weights.bin", "DECODER.ONNX", "step_action_new.onnx"])
 def test_an_extra_file_is_noticed(bundle: Path, name: str) -> None:
     (bundle / name).write_bytes(b"x")
     with pytest.raises(BundleIntegrityError, match=name):

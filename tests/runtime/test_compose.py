@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 from cli_runs import fails
+from same_motion import assert_same_motion
 
 from kinegraph import Concept, InvalidInputError, MotionPipeline
 from kinegraph.bundle import DEFAULT_BUNDLE
@@ -37,7 +38,7 @@ def pipe() -> MotionPipeline:
 @pytest.mark.parametrize("how", EVERY, ids=str)
 def test_one_concept_of_weight_one_is_generate(pipe: MotionPipeline, how: dict[str, Any]) -> None:
     plain = pipe.generate(WALK, **FEW)
-    np.testing.assert_allclose(pipe.compose([Concept(WALK)], **how, **FEW).joints, plain.joints, atol=1e-4)
+    assert_same_motion(pipe, pipe.compose([Concept(WALK)], **how, **FEW).joints, plain.joints)
 
 
 @pytest.mark.parametrize("method", ["latent", "semantic", "fused"])
@@ -45,7 +46,7 @@ def test_the_order_of_concepts_does_not_matter(pipe: MotionPipeline, method: str
     how = {"method": method, **({"text": f"{WALK} and waves"} if method == "fused" else {})}
     concepts = [Concept(WALK), Concept(WAVE, 0.7), Concept("a person runs", -0.4)]
     one, other = (pipe.compose(order, **how, **FEW).joints for order in (concepts, concepts[::-1]))
-    np.testing.assert_allclose(one, other, atol=1e-4)
+    assert_same_motion(pipe, one, other)
 
 
 @pytest.mark.parametrize("method", ["latent", "semantic", "fused"])
@@ -53,7 +54,7 @@ def test_a_concept_twice_at_half_weight_counts_once(pipe: MotionPipeline, method
     how = {"method": method, **({"text": f"{WALK} and waves"} if method == "fused" else {})}
     whole = pipe.compose([Concept(WALK), Concept(WAVE)], **how, **FEW).joints
     halves = pipe.compose([Concept(WALK, 0.5), Concept(WAVE), Concept(WALK, 0.5)], **how, **FEW).joints
-    np.testing.assert_allclose(whole, halves, atol=1e-4)
+    assert_same_motion(pipe, whole, halves)
 
 
 @pytest.mark.parametrize(
@@ -64,9 +65,9 @@ def test_fusion_with_one_share_is_that_term(
 ) -> None:
     concepts = [Concept(WALK), Concept(WAVE)]
     fused = pipe.compose(concepts, lambdas=lambdas, **FEW).joints
-    np.testing.assert_allclose(fused, pipe.compose(concepts, **same, **FEW).joints, atol=1e-4)
+    assert_same_motion(pipe, fused, pipe.compose(concepts, **same, **FEW).joints)
     text = pipe.compose(concepts, lambdas=(0.0, 0.0, 1.0), text="someone bows", **FEW).joints
-    np.testing.assert_allclose(text, pipe.generate("someone bows", **FEW).joints, atol=1e-4)
+    assert_same_motion(pipe, text, pipe.generate("someone bows", **FEW).joints)
 
 
 def test_methods_differ_and_weights_matter(pipe: MotionPipeline) -> None:
@@ -75,6 +76,35 @@ def test_methods_differ_and_weights_matter(pipe: MotionPipeline) -> None:
     assert not np.allclose(latent, semantic, atol=1e-3)
     lighter = pipe.compose([Concept(WALK), Concept(WAVE, 0.2)], method="latent", **FEW).joints
     assert not np.allclose(latent, lighter, atol=1e-3)
+
+
+@pytest.mark.parametrize("lambdas", [(0.1, 0.3, 0.6), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)])
+def test_a_negation_beside_one_concept_is_the_same_for_all_lambdas(
+    pipe: MotionPipeline, lambdas: tuple[float, float, float]
+) -> None:
+    # One concept of weight 1 is plain guidance whatever the lambdas, and Eq. 8 stands beside them.
+    concepts = [Concept(WALK), Concept("a person runs", -1.0)]
+    latent = pipe.compose(concepts, method="latent", **FEW).joints
+    np.testing.assert_allclose(pipe.compose(concepts, lambdas=lambdas, **FEW).joints, latent, atol=1e-4)
+    assert not np.allclose(latent, pipe.generate(WALK, **FEW).joints, atol=1e-2)
+
+
+def test_fusion_with_all_in_the_latent_share_is_latent_with_negations_too(pipe: MotionPipeline) -> None:
+    concepts = [Concept(WALK), Concept(WAVE, 0.7), Concept("a person runs", -0.6)]
+    fused = pipe.compose(concepts, lambdas=(1.0, 0.0, 0.0), **FEW).joints
+    np.testing.assert_allclose(fused, pipe.compose(concepts, method="latent", **FEW).joints, atol=1e-4)
+
+
+def test_no_step_size_is_without_adaptive_gradient_descent(pipe: MotionPipeline) -> None:
+    plain = pipe.compose([WALK, WAVE], **FEW).joints
+    np.testing.assert_array_equal(pipe.compose([WALK, WAVE], agd=(0.0, 0.0), **FEW).joints, plain)
+
+
+def test_a_bundle_without_its_graphs_says_so(pipe: MotionPipeline, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(pipe, "_sessions", dataclasses.replace(pipe._sessions, context_agd={}, step_agd={}))
+    monkeypatch.setattr(pipe, "_arrays", None)
+    with pytest.raises(InvalidInputError, match=r"no graphs for adaptive gradient descent: leave agd out"):
+        pipe.compose([WALK, WAVE], agd=(4e-4, 4e-4), **FEW)
 
 
 class Counted:
@@ -121,7 +151,15 @@ BAD: list[tuple[Any, dict[str, Any], str]] = [
     ([WALK], {"lambdas": "abc"}, "three numbers"),
     ([WALK], {"method": "latent", "lambdas": (1.0, 0.0, 0.0)}, "lambdas is for"),
     ([WALK], {"method": "latent", "text": "a person walks"}, "text is for"),
-    ([WALK, Concept(WAVE, -1)], {}, "sum to 0"),
+    ([WALK, Concept(WAVE, -1)], {"method": "semantic"}, "sum to 0"),
+    ([Concept(WALK, 0.04)], {}, "sum to 0.04"),
+    ([WALK, WAVE], {"agd": 0.001}, "two step sizes"),
+    ([WALK, WAVE], {"agd": (0.001,)}, "two step sizes"),
+    ([WALK, WAVE], {"agd": (-0.001, 0.0)}, "two step sizes"),
+    ([WALK, WAVE], {"agd": (float("nan"), 0.0)}, "two step sizes"),
+    ([WALK, WAVE], {"agd": (2.0, 0.0)}, "two step sizes"),
+    ([WALK, WAVE], {"agd": ("a", 0.0)}, "two step sizes"),
+    ([WALK, WAVE], {"guidance": float("nan")}, "guidance"),
     ([WALK, Concept(WAVE, -0.7)], {"method": "semantic"}, "make the negations weaker"),
     ([WALK], {"seconds": float("inf")}, "seconds"),
     ([WALK], {"text": " "}, "caption"),
@@ -179,6 +217,7 @@ def test_a_number_after_a_colon_is_a_weight(text: str, expected: tuple[str, floa
         (["--and", "a person walks:nan", "-o", "x.npz"], "nan"),
         (["--and", "a person walks", "--method", "sum", "-o", "x.npz"], "'sum'"),
         (["--and", "a person walks", "-o", "x.mp3"], "mp3"),
+        (["--and", "a person walks", "--agd", "5", "-o", "x.npz"], "two step sizes"),
     ],
 )
 def test_the_command_line_says_what_is_wrong(

@@ -8,9 +8,9 @@ import pytest
 from synthetic_bundle import LEVEL_SPECS, filler_model
 
 from kinegraph.contract import (
-    COARSE_DECODERS,
     GRAPHS,
     LEVELS,
+    OPTIONAL_GRAPHS,
     GraphContract,
     LevelSpec,
     TensorSpec,
@@ -70,6 +70,30 @@ TABLE = {
     "decoder": ("latent f B,8,16 | frame_mask f B,L", "features f B,L,137"),
     "decoder_motion": ("latent f B,2,16 | frame_mask f B,L", "features f B,L,137"),
     "decoder_action": ("latent f B,4,16 | frame_mask f B,L", "features f B,L,137"),
+    "context_motion_agd": ("nodes f B,N,384 | kind i B,N | order i B,N", "context f B,S,192"),
+    "step_motion_agd": (
+        "latent f R,2,16 | modulation f R,18,192 | context f A,S,192 | gamma f A,2 | src i A | combine f R,A"
+        " | bias f A,1,2,S",
+        "noise f R,2,16",
+    ),
+    "context_action_agd": (
+        "nodes f B,N,384 | kind i B,N | order i B,N | coarse f B,2,16",
+        "context f B,S,192",
+    ),
+    "step_action_agd": (
+        "latent f R,4,16 | modulation f R,12,192 | context f A,S,192 | gamma f A,2 | src i A | combine f R,A"
+        " | bias f A,1,4,S",
+        "noise f R,4,16",
+    ),
+    "context_specific_agd": (
+        "nodes f B,N,384 | kind i B,N | order i B,N | coarse f B,4,16",
+        "context f B,S,192",
+    ),
+    "step_specific_agd": (
+        "latent f R,8,16 | modulation f R,6,192 | context f A,S,192 | gamma f A,2 | src i A | combine f R,A"
+        " | bias f A,1,8,S",
+        "noise f R,8,16",
+    ),
 }
 
 
@@ -84,7 +108,7 @@ def read_table(line: str) -> tuple[TensorSpec, ...]:
 
 def test_contracts_are_the_designs_table() -> None:
     graphs = contracts(EDGE, 384, 137)
-    assert tuple(graphs) == (*GRAPHS, *COARSE_DECODERS.values()) == tuple(TABLE)
+    assert tuple(graphs) == (*GRAPHS, *OPTIONAL_GRAPHS) == tuple(TABLE)
     for name, (inputs, outputs) in TABLE.items():
         assert graphs[name].inputs == read_table(inputs), name
         assert graphs[name].outputs == read_table(outputs), name

@@ -102,6 +102,22 @@ def test_the_coarse_decoders_are_optional_each_with_its_operators() -> None:
     assert "decoder_motion" not in manifest.contracts and "decoder_action" in manifest.contracts
 
 
+def test_the_graphs_of_adaptive_gradient_descent_are_optional_all_together() -> None:
+    value = copy.deepcopy(GOOD)
+    names = [name for name in value["files"] if name.endswith("_agd.onnx")]
+    assert len(names) == 6
+    for name in names:
+        with pytest.raises(BundleFormatError, match="all or none"):
+            decode_manifest(sealed({**value, "files": {k: v for k, v in value["files"].items() if k != name}}))
+    for part in ("files", "operators"):
+        value[part] = {key: entry for key, entry in value[part].items() if key not in names}
+    assert not any(name.endswith("_agd") for name in decode_manifest(sealed(value)).contracts)
+
+
+def test_a_bundle_of_the_format_before_is_read() -> None:
+    assert decode_manifest(sealed({**GOOD, "format_version": 2})).format_version == 2
+
+
 def test_the_parser_is_optional() -> None:
     value = copy.deepcopy(GOOD)
     del value["files"]["parser.bin"]
@@ -152,7 +168,7 @@ def test_numbers_must_be_finite(token: str) -> None:
 
 BREAKS: list[tuple[tuple[Any, ...], object]] = [
     (("format_version",), 1),
-    (("format_version",), 3),
+    (("format_version",), 4),
     (("format_version",), 0),
     (("skeleton", "joint_names"), GOOD["skeleton"]["joint_names"][:-1]),
     (("skeleton", "parents", 3), 1),
@@ -227,8 +243,8 @@ def test_a_name_with_nul_is_refused() -> None:
 
 
 def test_a_newer_format_says_so_before_its_new_keys_do() -> None:
-    with pytest.raises(BundleFormatError, match="format_version is 3"):
-        decode_manifest(sealed({**GOOD, "format_version": 3, "new_key": 1}))
+    with pytest.raises(BundleFormatError, match="format_version is 4"):
+        decode_manifest(sealed({**GOOD, "format_version": 4, "new_key": 1}))
 
 
 @pytest.mark.parametrize(

@@ -85,6 +85,38 @@ def test_a_caption_without_a_verb_still_has_an_action(parser: GraphParser, capti
     assert parser.parse(caption).actions
 
 
+@pytest.mark.parametrize(
+    ("caption", "actions"),
+    [
+        ("a person walks and waves", ["walks", "waves"]),
+        ("A human walks and turns to the right", ["walks", "turns"]),
+        ("The man walks, runs, hops and skips.", ["walks", "runs", "hops", "skips"]),
+        ("a person sitting on a chair waves", ["sitting", "waves"]),
+        ("someone makes jumps and kicks", ["makes"]),
+        ("two quick punches with the right fist", ["punches"]),
+        ("A person gets pushed from the left", ["gets", "pushed"]),
+        ("A kneeling person is standing up.", ["kneeling", "standing"]),
+        ("a person does not move", ["move"]),
+    ],
+)
+def test_verbs_that_look_like_nouns_are_actions(parser: GraphParser, caption: str, actions: list[str]) -> None:
+    assert [action.text for action in parser.parse(caption).actions] == actions
+
+
+def test_slips_are_mended_and_keep_their_place(parser: GraphParser) -> None:
+    caption = "a persn wlaks slowy to the rigth"
+    graph = parser.parse(caption)
+    check_offsets(caption, graph)
+    assert edges(graph) == {
+        ("wlaks", "ARG0", "a persn"), ("wlaks", "ARGM-MNR", "slowy"), ("wlaks", "ARGM-DIR", "to the rigth")
+    }  # fmt: skip
+
+
+def test_an_object_after_two_verbs_belongs_to_both(parser: GraphParser) -> None:
+    found = edges(parser.parse("a person raises and lowers the left arm"))
+    assert {("raises", "ARG1", "the left arm"), ("lowers", "ARG1", "the left arm")} <= found
+
+
 def check_offsets(caption: str, graph: SemanticGraph) -> None:
     assert graph.caption == caption
     assert graph.actions
@@ -164,7 +196,7 @@ def test_bytes_that_are_no_parser_are_refused(wrong: bytes) -> None:
 
 
 def test_agreement_with_the_released_graphs_does_not_fall(parser: GraphParser, tmp_path: Path) -> None:
-    # Measured: actions .951, spans .812, typed spans .683. The floors only guard; accuracy is worked on elsewhere.
+    # Measured by rules alone, all captions; `benchmarks/parser_accuracy.py` measures the linear model on top.
     gold = SHARED / "graphs" / "kit_gold_dev.jsonl"
     if not gold.is_file():
         pytest.skip("gold graphs (../shared/graphs) are not at hand")

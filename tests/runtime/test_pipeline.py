@@ -14,6 +14,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from same_motion import assert_same_motion
 
 import kinegraph
 from kinegraph import MotionPipeline
@@ -151,7 +152,7 @@ def test_what_guidance_leads_away_from_cancels_at_scale_one(pipe: MotionPipeline
     one, other = (
         each.generate("a person turns right", seconds=1, seed=5, steps=FEW, guidance=1).joints for each in bases
     )
-    np.testing.assert_allclose(one, other, atol=1e-4)
+    assert_same_motion(pipe, one, other)
     one, other = (
         each.generate("a person turns right", seconds=1, seed=5, steps=FEW, guidance=3).joints for each in bases
     )
@@ -163,7 +164,7 @@ def test_a_single_concept_is_plain_guidance_whatever_it_leads_away_from(pipe: Mo
     own, text = with_base(pipe, base), "a person turns right"
     plain = own.generate(text, seconds=1, seed=5, steps=FEW, guidance=3).joints
     composed = own.compose([text], seconds=1, seed=5, steps=FEW, guidance=3).joints
-    np.testing.assert_allclose(composed, plain, atol=1e-4)
+    assert_same_motion(pipe, composed, plain)
 
 
 def test_without_seconds_the_sentence_decides(pipe: MotionPipeline) -> None:

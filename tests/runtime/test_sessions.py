@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import onnxruntime
@@ -100,3 +101,18 @@ def test_a_bundle_need_not_have_coarse_decoders(tmp_path: Path) -> None:
     files = {name: data for name, data in bundle_files().items() if not name.startswith("decoder_")}
     sessions = open_sessions(read_bundle(write_bundle(tmp_path / "bundle", files)))
     assert sessions.coarse_decoders == {}
+
+
+def test_the_graphs_of_adaptive_gradient_descent_are_made_once_whoever_asks(
+    bundle: Bundle, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    made: list[int] = []
+    make = onnxruntime.InferenceSession
+    monkeypatch.setattr(onnxruntime, "InferenceSession", lambda *a, **k: made.append(len(a[0])) or make(*a, **k))
+    sessions = open_sessions(bundle)
+    before = len(made)
+    assert set(sessions.step_agd) == set(sessions.context_agd) == set(LEVELS)
+    with ThreadPoolExecutor(8) as pool:
+        found = list(pool.map(lambda _: sessions.step_agd["action"](), range(16)))
+    assert len(made) == before + 1 and all(session is found[0] for session in found)
+    assert "gamma" in [tensor.name for tensor in found[0].get_inputs()]

@@ -18,10 +18,22 @@ from tqdm import tqdm
 from kinegraph.conditions import GraphArrays, graph_arrays
 from kinegraph.errors import InvalidInputError
 from kinegraph.graph import SemanticGraph
-from kinegraph.text.parser import GraphParser
+from kinegraph.text.parser import read_parser
 from kinegraph.text.tokens import CaptionTokenizer, TokenIds
 
 ASSETS = ("text_encoder.onnx", "tokenizer.json", "parser.bin")
+OPTIONAL_ASSETS = ("arguments.npz",)
+"""Weights of `train_parser`; the parser goes by rules without them."""
+
+
+def read_assets(folder: Path) -> dict[str, bytes]:
+    """Content of the text files by name.
+
+    Raises:
+        OSError: one that is not optional is missing.
+    """
+    optional = [name for name in OPTIONAL_ASSETS if (folder / name).is_file()]
+    return {name: (folder / name).read_bytes() for name in (*ASSETS, *optional)}
 
 
 class CaptionEncoder:
@@ -39,7 +51,7 @@ class CaptionEncoder:
             (folder / "text_encoder.onnx").read_bytes(), options, providers=["CPUExecutionProvider"]
         )
         self.tokenizer = CaptionTokenizer((folder / "tokenizer.json").read_bytes())
-        self.parser = GraphParser((folder / "parser.bin").read_bytes())
+        self.parser = read_parser(folder)
 
     def __call__(self, caption: str | SemanticGraph) -> GraphArrays:
         """Parse and encode one caption; a graph is encoded as it is."""

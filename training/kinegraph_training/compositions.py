@@ -7,11 +7,13 @@ out (and their mirror images) are never made, so that composition can be measure
 from __future__ import annotations
 
 import json
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
+from kinegraph.errors import InvalidInputError
 from kinegraph.motion.bones import with_bone_lengths
 from kinegraph.motion.features import features_from_joints, joints_from_features
 from kinegraph.motion.skeleton import JOINT_INDEX, FloatArray, bone_lengths, facing_angle
@@ -36,11 +38,23 @@ class HeldOut:
 
     @staticmethod
     def read(path: Path) -> HeldOut:
-        """From a JSON file with the lists "together" and "in_order"."""
-        raw = json.loads(path.read_text(encoding="utf-8"))
-        together = [tuple(pair) for pair in raw["together"]]
+        """From a JSON file with the lists "together" and "in_order".
+
+        Raises:
+            InvalidInputError: it cannot be read, or is no such file.
+        """
+        try:
+            raw = json.loads(path.read_text(encoding="utf-8"))
+            together = [(str(a), str(b)) for a, b in raw["together"]]
+            ordered = [(str(a), str(b)) for a, b in raw["in_order"]]
+        except OSError as error:
+            raise InvalidInputError(
+                f"{path} cannot be read ({error.strerror}); name the file of held-out pairs"
+            ) from error
+        except (ValueError, KeyError, TypeError) as error:
+            wanted = 'an object with "together" and "in_order", each a list of pairs of labels'
+            raise InvalidInputError(f"{path} must be {wanted}: {error!r}") from error
         together += [(mirrored_label(a), mirrored_label(b)) for a, b in together]
-        ordered = [tuple(pair) for pair in raw["in_order"]]
         ordered += [(mirrored_label(a), mirrored_label(b)) for a, b in ordered]
         return HeldOut(frozenset(frozenset(pair) for pair in together), frozenset(ordered))
 
@@ -110,7 +124,24 @@ def joined(first: FloatArray, second: FloatArray) -> FloatArray:
     return with_bone_lengths(joints, bone_lengths(first).mean(axis=0))
 
 
-def _pairs(clips: list[MotionClip], rng: np.random.Generator) -> tuple[MotionClip, MotionClip]:
+def may_be_together(carrier: MotionClip, gesture: MotionClip, held_out: HeldOut) -> bool:
+    """Whether the gesture leaves the carrier its own limbs, fits its length, and the pair is not held out."""
+    if gesture.content in LOCOMOTION:
+        return False
+    both_gestures = carrier.content not in LOCOMOTION
+    if both_gestures and set(arms_of(carrier.content)) & set(arms_of(gesture.content)):
+        return False
+    if frozenset((carrier.content, gesture.content)) in held_out.together:
+        return False
+    return len(gesture.joints) <= MAX_SQUEEZE * len(carrier.joints)
+
+
+def spliceable(clips: Iterable[MotionClip]) -> list[MotionClip]:
+    """Clips of actions of the arms or of the legs."""
+    return [clip for clip in clips if clip.content in PHRASES and PHRASES[clip.content].arms_or_legs]
+
+
+def drawn_pair(clips: list[MotionClip], rng: np.random.Generator) -> tuple[MotionClip, MotionClip]:
     """Two clips of one style, contents drawn evenly so that rare ones are not drowned."""
     by_style: dict[str, dict[str, list[MotionClip]]] = {}
     for clip in clips:
@@ -127,18 +158,11 @@ def _pairs(clips: list[MotionClip], rng: np.random.Generator) -> tuple[MotionCli
 def make_splices(clips: list[MotionClip], count: int, held_out: HeldOut, seed: int) -> list[MotionClip]:
     """`count` body splices with captions of both actions."""
     rng = np.random.Generator(np.random.PCG64(seed))
-    usable = [clip for clip in clips if clip.content in PHRASES and PHRASES[clip.content].arms_or_legs]
+    usable = spliceable(clips)
     made: list[MotionClip] = []
     while len(made) < count and usable:
-        carrier, gesture = _pairs(usable, rng)
-        if gesture.content in LOCOMOTION:
-            continue
-        both_gestures = carrier.content not in LOCOMOTION
-        if both_gestures and set(arms_of(carrier.content)) & set(arms_of(gesture.content)):
-            continue
-        if frozenset((carrier.content, gesture.content)) in held_out.together:
-            continue
-        if len(gesture.joints) > MAX_SQUEEZE * len(carrier.joints):
+        carrier, gesture = drawn_pair(usable, rng)
+        if not may_be_together(carrier, gesture, held_out):
             continue
         made.append(
             MotionClip(
@@ -160,7 +184,7 @@ def make_sequences(
     usable = [clip for clip in clips if clip.content in PHRASES and 2 * BLEND <= len(clip.joints) <= max_frames - 30]
     made: list[MotionClip] = []
     while len(made) < count and usable:
-        first, second = _pairs(usable, rng)
+        first, second = drawn_pair(usable, rng)
         if (first.content, second.content) in held_out.in_order:
             continue
         if len(first.joints) + len(second.joints) - BLEND > max_frames:

@@ -33,6 +33,9 @@ class PreparedClip:
     captions: tuple[str, ...]
     source_file: str
     split: str
+    content: str = ""
+    """Label of the action, where it has one: two of them joined by `+` for a composition."""
+    style: str = ""
 
 
 def split_of(ids: Sequence[str], *, val: float, test: float) -> dict[str, str]:
@@ -67,6 +70,7 @@ def write_data(out: Path, clips: Sequence[PreparedClip], fps: float) -> None:
             "fps": rate,
             "source_file": each.source_file,
             "split": each.split,
+            **({"content": each.content, "style_canon": each.style} if each.content else {}),
         }
         for each in clips
     ]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -26,10 +27,13 @@ class Dataset:
     std: FloatArray
 
 
-def training_clips(folder: Path, config: DataConfig, held_out: Path | None) -> list[MotionClip]:
+def training_clips(
+    folder: Path, config: DataConfig, held_out: Path | None, more: Sequence[Path] = ()
+) -> list[MotionClip]:
     """Recorded clips of the `train` split and made compositions, each also mirrored.
 
-    Compositions need the action's label in index.jsonl: clips without one (a user's own) are trained on as they are.
+    Compositions need the action's label in index.jsonl: clips without one (a user's own) are trained on as they are,
+    and so are those of the folders in `more` (`kinegraph_training.compml`).
 
     Raises:
         InvalidInputError: compositions are asked for without the list of pairs to hold out.
@@ -45,6 +49,7 @@ def training_clips(folder: Path, config: DataConfig, held_out: Path | None) -> l
         made = make_splices(labelled, config.splices, held, config.seed)
         made += make_sequences(labelled, config.sequences, held, config.seed + 1, config.max_frames)
         clips = with_counted_steps(clips, config.seed + 2) + made
+    clips += [clip for own in more for clip in read_split(own, "train") if len(clip.joints) >= config.min_frames]
     return clips + [mirrored_clip(clip) for clip in clips]
 
 
@@ -58,9 +63,9 @@ def with_counted_steps(clips: list[MotionClip], seed: int) -> list[MotionClip]:
     ]
 
 
-def training_set(folder: Path, config: DataConfig, held_out: Path | None) -> Dataset:
+def training_set(folder: Path, config: DataConfig, held_out: Path | None, more: Sequence[Path] = ()) -> Dataset:
     """The training clips and their own normalisation."""
-    clips = training_clips(folder, config, held_out)
+    clips = training_clips(folder, config, held_out, more)
     features = [features_from_joints(clip.joints) for clip in clips]
     mean, std = normalisation(features)
     return Dataset(clips, [(rows - mean) / std for rows in features], mean, std)

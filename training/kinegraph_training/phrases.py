@@ -159,6 +159,12 @@ def counted_captions(content: str, steps: int | None, style: str, rng: np.random
     return tuple(made)
 
 
+def concept_caption(content: str, style: str, rng: np.random.Generator) -> str:
+    """A sentence of one action in its manner."""
+    parts = (_one(SUBJECTS, rng), _one(PHRASES[content].finite, rng), _one(MANNERS.get(style, ("",)), rng))
+    return " ".join(parts).strip() + "."
+
+
 def splice_caption(carrier: str, gesture: str, style: str, rng: np.random.Generator) -> tuple[str, ...]:
     """Captions of two actions at once."""
     templates = (

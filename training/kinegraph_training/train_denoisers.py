@@ -142,7 +142,9 @@ def measured(train: Dataset, graphs: CaptionGraphs | CaptionStates) -> dict[str,
 
 def batches(arguments: argparse.Namespace, preset: Preset) -> tuple[DataLoader, DataLoader, dict[str, Latents]]:
     """Training and validation batches, and the latents they come from."""
-    train = within(training_set(arguments.data, preset.data, arguments.held_out), preset.data.max_frames)
+    train = within(
+        training_set(arguments.data, preset.data, arguments.held_out, arguments.more), preset.data.max_frames
+    )
     val = validation_set(arguments.data, "val", preset.data, train.mean, train.std)
     captions = [caption for clip in train.clips + val.clips for caption in clip.captions]
     graphs: CaptionGraphs | CaptionStates
@@ -176,6 +178,13 @@ def main(argv: list[str] | None = None) -> None:
     add_common_arguments(parser)
     parser.add_argument(
         "--assets", type=Path, required=True, help="folder with text_encoder.onnx, tokenizer.json, parser.bin"
+    )
+    parser.add_argument(
+        "--more",
+        type=Path,
+        action="append",
+        default=[],
+        help="another data folder, trained on as it is; may be repeated",
     )
     arguments, lightning = parser.parse_known_args(argv)
     preset = read_preset(arguments.preset)

@@ -12,6 +12,7 @@ from kinegraph.motion.skeleton import JOINT_NAMES, PARENTS, FloatArray, facing_a
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
     from kinegraph.motion.clip import Clip
 
@@ -34,8 +35,13 @@ def encode(clip: Clip) -> bytes:
     for axis, frame in zip(axes, frames, strict=False):
         _draw_pose(axis, clip.joints[frame], f"{frame / clip.fps:.1f} s", top)
     _draw_path(axes[-1], clip.joints, frames)
-    figure.suptitle(_fitting(clip.text), fontsize=12, y=0.97)
+    figure.suptitle(fitting(clip.text), fontsize=12, y=0.97)
     figure.subplots_adjust(left=0.01, right=0.97, bottom=0.14, top=0.88, wspace=0.02)
+    return png_bytes(figure)
+
+
+def png_bytes(figure: Figure) -> bytes:
+    """A drawn figure as a file; equal figures give equal bytes."""
     buffer = io.BytesIO()
     with warnings.catch_warnings():
         # a script that the font lacks is drawn as boxes
@@ -86,7 +92,7 @@ def colour_of(joint: int) -> str:
     return _LEFT if name.startswith("left") else _RIGHT if name.startswith("right") else MIDDLE
 
 
-def _fitting(text: str) -> str:
-    """One line that fits, with nothing that matplotlib would read as a formula."""
+def fitting(text: str, width: int = 110) -> str:
+    """One line of at most `width` characters, with nothing that matplotlib would read as a formula."""
     line = " ".join(text.split())
-    return (line if len(line) <= 110 else line[:109] + "…").replace("$", r"\$")
+    return (line if len(line) <= width else line[: width - 1] + "…").replace("$", r"\$")

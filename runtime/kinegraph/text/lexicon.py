@@ -10,9 +10,19 @@ UNACCUSATIVE: Final = frozenset(
 )
 """Verbs whose subject undergoes the motion: it is ARG1 (PropBank), unless they take an object."""
 
+TRANSITIVE: Final = frozenset(
+    "raise lower lift bend stretch open close push pull move swing wave cross hold shake clap rub touch grab pick drop"
+    " throw catch kick".split()
+)
+"""Verbs that share the object of a verb they are coordinated with ("raises and lowers the hand")."""
+
 STATIVE: Final = frozenset("look seem appear feel be remain become sound".split())
 
 TRAVEL: Final = frozenset("go come return get rise climb descend".split())
+TRAVEL_ON: Final = frozenset(
+    "walk run go climb jog step move jump hop come crawl march stroll sneak slide sprint".split()
+)
+"""Verbs that go "up a slope" or "down the stairs", where others lift something up."""
 TRANSFER: Final = frozenset(
     "put place pick take give wipe hold lean kick throw stretch tie tap hand bring push shove".split()
 )
@@ -65,3 +75,79 @@ EVENT_NOUNS: Final = frozenset(
     " stand sit kneel climb trot limp shuffle twirl tiptoe balance stop start bend lean reach point shake".split()
 )
 """Nouns that name a motion, and verbs that taggers take for nouns in short captions."""
+
+GET: Final = frozenset("get gets getting got".split())
+
+NEVER_VERBS: Final = (DIRECTION_ADVERBS - frozenset(("left",))) | frozenset(("circle", "reverse", "clockwise"))
+"""Words that the tagger takes for verbs now and then, in forms that captions use for nouns and adverbs."""
+
+VERBS: Final = EVENT_NOUNS - frozenset("greeting movement motion rotation".split()) | frozenset(
+    "raise lower pick put carry hold take make do perform go come crouch duck dive drop flap flex gallop glide"
+    " grab hang hit hug hurry land lie look move open close paddle pass pat play pretend pull rest rise return rub"
+    " rush sneak scratch sidestep sink slap slip slow smash squeeze stagger stalk stomp straighten strike stroke"
+    " strut sway sweep tilt touch toss tread trip trudge twist unfold use wander wiggle wipe wobble wriggle yawn"
+    " zigzag begin continue keep cross dodge draw drag drink eat evade gesture grasp guide juggle march mimic"
+    " mince mope pivot press reach recover rotate scoot show skate ski sling snap splash spread squat stir stoop"
+    " stroll struggle stumble swim swing tap wave weave fold nod clasp circle walk flail gather greet hail hobble"
+    " inch lurch mime pant plod pose prance relax retreat saunter slump tiptoe traipse tumble waddle whirl wince"
+    " leave lead try drive swipe flinch fling bounce brush box fight shadowbox hula sit sprint catch wade"
+    " compensate".split()
+)
+"""Verbs of motion, base forms."""
+
+
+def _third_person(verb: str) -> str:
+    if verb.endswith(("s", "sh", "ch", "x", "z", "o")):
+        return verb + "es"
+    return verb[:-1] + "ies" if verb.endswith("y") and verb[-2] not in "aeiou" else verb + "s"
+
+
+def _participle(verb: str) -> str:
+    if verb.endswith("ie"):
+        return verb[:-2] + "ying"
+    if verb.endswith("e") and not verb.endswith("ee"):
+        return verb[:-1] + "ing"
+    doubled = verb[-1] in "bdgmnprt" and verb[-2] in "aeiou" and verb[-3:-2] not in tuple("aeiou") and len(verb) < 6
+    return verb + verb[-1] + "ing" if doubled else verb + "ing"
+
+
+FINITE_VERBS: Final = {_third_person(verb): verb for verb in sorted(VERBS) if verb != "do"}
+"""Third person to base form; "does" is as often an auxiliary."""
+
+CONFUSED: Final = {"waive": "wave", "waives": "waves", "waiving": "waving", "quater": "quarter"}
+"""Words that nobody means in a caption."""
+
+ROTATIONS: Final = frozenset("clockwise counterclockwise anticlockwise counter-clockwise anti-clockwise".split())
+
+PERSON_NOUNS: Final = frozenset("human subject humanoid avatar".split())
+"""Words for the one who moves that the tagger takes for adjectives or names."""
+SUBJECT_NOUNS: Final = PERSON_NOUNS | frozenset(
+    "person man woman someone somebody figure character individual child boy girl guy lady player dancer people actor"
+    " kid adult athlete he she it they".split()
+)
+BODY_NOUNS: Final = frozenset(
+    "arm hand leg foot knee elbow head body shoulder hip fist finger back arms hands legs feet knees elbows heads"
+    " shoulders hips fists fingers chest torso neck waist heel heels toe toes ankle wrist face".split()
+)
+
+VOCABULARY: Final = (
+    VERBS
+    | frozenset(FINITE_VERBS)
+    | frozenset(_participle(verb) for verb in VERBS)
+    | EVENT_NOUNS
+    | SUBJECT_NOUNS
+    | BODY_NOUNS
+    | DIRECTION_ADVERBS
+    | CIRCLE_NOUNS
+    | SIDE_NOUNS
+    | WAYS
+    | TIME_MARKERS
+    | DIRECTION_PREPOSITIONS
+    | frozenset(
+        "both with without their then again slowly quickly fast slightly happily sadly angrily proudly tiredly wearily"
+        " energetically calmly carefully sharply suddenly abruptly gently softly briskly timidly nervously gracefully"
+        " smoothly backwardly repeatedly several steps times degrees meters quarter small large high clockwise"
+        " counterclockwise another person persons while position object something ground floor".split()
+    )
+)
+"""What a misspelt word may have been meant to be."""

@@ -1,92 +1,44 @@
-"""Captions to semantic graphs: spaCy's dependency parse, then rules (`kinegraph.text.rules`)."""
+"""Captions to semantic graphs.
+
+The dependency parse (`analysis`) gives the actions and, by rules (`rules`), a first guess of their arguments; a linear
+model ranks and types all phrases around an action (`spans`, `features`, `ranker`). Without its weights the rules stand
+alone.
+"""
 
 from __future__ import annotations
 
 import threading
-from typing import Any, Final
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
 
-from kinegraph.errors import BundleError, BundleFormatError, InvalidInputError, MissingExtraError
+from kinegraph.errors import BundleError, InvalidInputError
 from kinegraph.graph import Action, Argument, SemanticGraph
 from kinegraph.limits import MAX_NODES, MAX_TEXT
 from kinegraph.text import lexicon
-from kinegraph.text.rules import CONTENT, Frame, Span, frame, is_action, trimmed
+from kinegraph.text.analysis import Analyser, Analysis
+from kinegraph.text.phrases import is_action, trimmed
+from kinegraph.text.ranker import ArgumentRanker, Candidates, candidates
+from kinegraph.text.rules import CONTENT, Frame, frame, is_certain, is_passive
+from kinegraph.text.spans import Span
 from kinegraph.text.tokens import check_unicode
-
-PIPES: Final[tuple[str, ...]] = ("tok2vec", "tagger", "parser", "attribute_ruler", "lemmatizer")
-
-_LISTENER: Final = {"@architectures": "spacy.Tok2VecListener.v1", "width": 96, "upstream": "tok2vec"}
-
-COMPONENTS: Final[dict[str, dict[str, Any]]] = {
-    "tok2vec": {
-        "model": {
-            "@architectures": "spacy.Tok2Vec.v2",
-            "embed": {
-                "@architectures": "spacy.MultiHashEmbed.v2",
-                "width": 96,
-                "attrs": ["NORM", "PREFIX", "SUFFIX", "SHAPE", "SPACY", "IS_SPACE"],
-                "rows": [5000, 1000, 2500, 2500, 50, 50],
-                "include_static_vectors": False,
-            },
-            "encode": {
-                "@architectures": "spacy.MaxoutWindowEncoder.v2",
-                "width": 96,
-                "depth": 4,
-                "window_size": 1,
-                "maxout_pieces": 3,
-            },
-        }
-    },
-    "tagger": {"model": {"@architectures": "spacy.Tagger.v2", "nO": None, "normalize": False, "tok2vec": _LISTENER}},
-    "parser": {
-        "model": {
-            "@architectures": "spacy.TransitionBasedParser.v2",
-            "state_type": "parser",
-            "extra_state_tokens": False,
-            "hidden_width": 64,
-            "maxout_pieces": 2,
-            "use_upper": True,
-            "nO": None,
-            "tok2vec": _LISTENER,
-        }
-    },
-    "attribute_ruler": {},
-    "lemmatizer": {"mode": "rule"},
-}
-"""The pipeline is built from this table and only filled from the bundle's bytes: nothing in those names code."""
-
-
-def load_pipeline(data: bytes) -> Any:
-    """A spaCy pipeline of `COMPONENTS` with the weights of `nlp.to_bytes()`.
-
-    Raises:
-        MissingExtraError: spaCy is not installed.
-        BundleFormatError: the bytes do not fit the pipeline.
-    """
-    try:
-        from spacy.lang.en import English
-    except ImportError as error:
-        raise MissingExtraError(
-            'parsing a sentence needs spaCy: pip install "kinegraph[text]"; or pass a graph instead of a sentence'
-        ) from error
-    pipeline = English()
-    for name in PIPES:
-        pipeline.add_pipe(name, config=COMPONENTS[name])
-    try:
-        return pipeline.from_bytes(data, exclude=["meta", "config", "config.cfg", "meta.json"])
-    except Exception as error:
-        raise BundleFormatError(f"parser.bin does not hold the parser's weights: {error}") from error
 
 
 class GraphParser:
     """Sentence to graph; deterministic, safe to share between threads.
 
+    Args:
+        pipeline_bytes: content of parser.bin.
+        argument_weights: content of arguments.npz; None: rules alone.
+
     Raises:
         MissingExtraError: spaCy is not installed.
-        BundleFormatError: the bytes are no pipeline.
+        BundleFormatError: the bytes are no pipeline, or no weights.
     """
 
-    def __init__(self, pipeline_bytes: bytes) -> None:
-        self._pipeline = load_pipeline(pipeline_bytes)
+    def __init__(self, pipeline_bytes: bytes, argument_weights: bytes | None = None) -> None:
+        self._analyser = Analyser(pipeline_bytes)
+        self._ranker = None if argument_weights is None else ArgumentRanker(argument_weights)
 
     def parse(self, caption: str) -> SemanticGraph:
         """The graph of a caption, offsets in its characters; never empty for a caption with words in it.
@@ -95,26 +47,51 @@ class GraphParser:
             InvalidInputError: no text, blank, without a letter or digit, or longer than `limits.MAX_TEXT`.
         """
         check_caption(caption)
-        doc = self._pipeline(clean(caption))
-        frames = [frame(token) for token in doc if is_action(token)] or [fallback_frame(doc)]
-        cover(doc, frames)
-        return assembled(caption, doc, frames)
+        analysis = self.analyse(caption)
+        frames = skeleton(analysis)
+        if self._ranker is not None:
+            for found, options in zip(frames, frame_candidates(analysis, frames), strict=True):
+                choice = self._ranker.choose(options)
+                found.arguments = with_certain(choice.taken, found)
+                found.others = choice.ranked
+        cover(analysis.parsed, frames)
+        return assembled(caption, analysis.written, frames)
+
+    def analyse(self, caption: str) -> Analysis:
+        """The words of a checked caption with their dependency parse."""
+        return self._analyser(clean(caption))
+
+
+def read_parser(folder: Path) -> GraphParser:
+    """The parser of a folder of assets or of a bundle that is trusted: nothing is hashed.
+
+    Raises:
+        OSError: there is no parser.bin.
+        MissingExtraError, BundleFormatError: see `GraphParser`.
+    """
+    weights = folder / "arguments.npz"
+    return GraphParser((folder / "parser.bin").read_bytes(), weights.read_bytes() if weights.is_file() else None)
 
 
 class LazyParser:
     """Makes the parser when the first sentence comes: whoever brings graphs never pays for spaCy."""
 
-    def __init__(self, data: bytes | None) -> None:
-        self._data = data
+    def __init__(self, pipeline_bytes: bytes | None, argument_weights: bytes | None = None) -> None:
+        self._data = None if pipeline_bytes is None else (pipeline_bytes, argument_weights)
         self._lock = threading.Lock()
         self._parser: GraphParser | None = None
+
+    @staticmethod
+    def of(files: Mapping[str, bytes]) -> LazyParser:
+        """From the files of a bundle by name."""
+        return LazyParser(files.get("parser.bin"), files.get("arguments.npz"))
 
     def __call__(self) -> GraphParser:
         with self._lock:
             if self._parser is None:
                 if self._data is None:
                     raise BundleError("this bundle carries no parser; pass a SemanticGraph instead of a sentence")
-                self._parser = GraphParser(self._data)
+                self._parser = GraphParser(*self._data)
                 self._data = None
             return self._parser
 
@@ -136,6 +113,28 @@ def clean(caption: str) -> str:
     return "".join(char if char.isprintable() else " " for char in caption)
 
 
+def skeleton(analysis: Analysis) -> list[Frame]:
+    """The actions of a caption, at least one, with their arguments by the rules."""
+    doc = analysis.parsed
+    return [frame(token) for token in doc if is_action(token)] or [fallback_frame(doc)]
+
+
+def frame_candidates(analysis: Analysis, frames: list[Frame]) -> list[Candidates]:
+    """What the linear model chooses from, for each action."""
+    rules = [{span: role for role, span in found.arguments} for found in frames]
+    voices = ["pass" if is_passive(found.head) else "act" for found in frames]
+    return candidates(analysis.words, [found.head.i for found in frames], rules, voices)
+
+
+def with_certain(chosen: list[tuple[str, Span]], found: Frame) -> list[tuple[str, Span]]:
+    """What the rules are sure of, negation and agents, in place of any choice that overlaps it."""
+    certain = [(role, span) for role, span in found.arguments if is_certain(found.head, span)]
+    free = [
+        (role, span) for role, span in chosen if all(span[1] < first or last < span[0] for _, (first, last) in certain)
+    ]
+    return sorted(certain + free, key=lambda item: item[1])
+
+
 def fallback_frame(doc: Any) -> Frame:
     """Captions without a verb: a noun that names a motion, else the head of the first content word, else a word."""
     worded = [token for token in doc if any(char.isalnum() for char in token.text)]
@@ -153,8 +152,23 @@ def cover(doc: Any, frames: list[Frame]) -> None:
     loose = [token.i for token in doc if token.i not in held and token.pos_ in CONTENT and _counts(token)]
     for span in _runs(loose):
         kept = trimmed(doc, span)
-        if kept is not None:
-            _nearest(doc[kept[0]], frames).add("ARGM-MNR" if doc[kept[0]].pos_ in ("ADJ", "ADV") else "OTHERS", kept)
+        if kept is None or not held.isdisjoint(range(kept[0], kept[1] + 1)):
+            continue  # nothing left, or held by now: a likelier span may reach over several runs
+        nearest = _nearest(doc[kept[0]], frames)
+        if nearest.others is None:
+            nearest.add("ARGM-MNR" if doc[kept[0]].pos_ in ("ADJ", "ADV") else "OTHERS", kept)
+        elif any(doc[place].pos_ not in ("ADP", "PART") for place in range(kept[0], kept[1] + 1)):
+            role, (first, last) = _likeliest(kept, nearest, held)
+            nearest.add(role, (first, last))
+            held.update(range(first, last + 1))
+
+
+def _likeliest(span: Span, found: Frame, held: set[int]) -> tuple[str, Span]:
+    """The likeliest span around some words that no node holds; they themselves if there is none."""
+    for role, (first, last) in found.others or ():
+        if first <= span[0] and span[1] <= last and held.isdisjoint(range(first, last + 1)):
+            return role, (first, last)
+    return "OTHERS", span
 
 
 def _counts(token: Any) -> bool:
@@ -190,6 +204,7 @@ def assembled(caption: str, doc: Any, frames: list[Frame]) -> SemanticGraph:
             start, end = doc[first].idx, doc[last].idx + len(doc[last])
             arguments.append(Argument(role, caption[start:end], start, end))
         room -= len(arguments)
-        start, end = found.head.idx, found.head.idx + len(found.head)
+        head = doc[found.head.i]
+        start, end = head.idx, head.idx + len(head)
         actions.append(Action(caption[start:end], start, end, order, arguments=tuple(arguments)))
     return SemanticGraph(caption, tuple(actions))

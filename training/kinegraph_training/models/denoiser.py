@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import torch
 from torch import Tensor, nn
@@ -185,13 +186,31 @@ class CrossAttention(nn.Module):
         self.out = nn.Linear(width, width)
 
     def forward(self, x: Tensor, key: Tensor, value: Tensor, bias: Tensor, mixing: Mixing | None) -> Tensor:
+        return self.mixed(attend(self.queries(x, mixing), key, value, bias), mixing)
+
+    def queries(self, x: Tensor, mixing: Mixing | None) -> Tensor:
+        """(r, c, d) -> (a, h, c, d/h)."""
         query = split_heads(self.query(x), self.heads)
+        return query if mixing is None else query[mixing.src]
+
+    def mixed(self, attended: Tensor, mixing: Mixing | None) -> Tensor:
+        """(a, h, c, d/h) -> (r, c, d)."""
+        merged = merge_heads(attended)
         if mixing is None:
-            return self.out(merge_heads(attend(query, key, value, bias)))
-        attended = merge_heads(attend(query[mixing.src], key, value, bias))
-        rows, tokens, width = attended.shape
-        mixed = mixing.combine @ attended.reshape(rows, tokens * width)
-        return self.out(mixed.reshape(-1, tokens, width))
+            return self.out(merged)
+        rows, tokens, width = merged.shape
+        return self.out((mixing.combine @ merged.reshape(rows, tokens * width)).reshape(-1, tokens, width))
+
+
+class AdaptiveNorm(nn.LayerNorm):
+    """LayerNorm with the scale and shift that a `Clock` hands out."""
+
+    def __init__(self, width: int) -> None:
+        super().__init__(width, elementwise_affine=False)
+
+    def forward(self, x: Tensor, scale: Tensor, shift: Tensor) -> Tensor:  # type: ignore[override]
+        """x (r, c, d), scale and shift (r, 1, d)."""
+        return super().forward(x) * scale + shift
 
 
 class DenoiserLayer(nn.Module):
@@ -199,21 +218,21 @@ class DenoiserLayer(nn.Module):
 
     def __init__(self, config: DenoiserConfig) -> None:
         super().__init__()
-        self.norm = nn.LayerNorm(config.width, elementwise_affine=False)
+        self.norm = AdaptiveNorm(config.width)
         self.self_attention = SelfAttention(config.width, config.heads)
         self.cross_attention = CrossAttention(config.width, config.heads)
         self.feed = FeedForward(config.width, config.feed_forward)
         self.dropout = nn.Dropout(config.dropout)
 
     def forward(
-        self, x: Tensor, modulation: Sequence[Tensor], pair: tuple[Tensor, Tensor], bias: Tensor, mixing: Mixing | None
+        self, x: Tensor, modulation: Sequence[Tensor], pair: tuple[Any, ...], bias: Tensor, mixing: Mixing | None
     ) -> Tensor:
-        """modulation: scale and shift of the three normalisations, (r, 1, d) each."""
+        """modulation: scale and shift of the three normalisations, (r, 1, d) each; pair: what the cross-attention
+        attends to, key and value unless it makes its own (`agd`)."""
         before_self, shift_self, before_cross, shift_cross, before_feed, shift_feed = modulation
-        x = x + self.dropout(self.self_attention(self.norm(x) * before_self + shift_self, None))
-        normed = self.norm(x) * before_cross + shift_cross
-        x = x + self.dropout(self.cross_attention(normed, *pair, bias, mixing))
-        return x + self.dropout(self.feed(self.norm(x) * before_feed + shift_feed))
+        x = x + self.dropout(self.self_attention(self.norm(x, before_self, shift_self), None))
+        x = x + self.dropout(self.cross_attention(self.norm(x, before_cross, shift_cross), *pair, bias, mixing))
+        return x + self.dropout(self.feed(self.norm(x, before_feed, shift_feed)))
 
 
 class StepNetwork(SkipStack):
@@ -226,7 +245,12 @@ class StepNetwork(SkipStack):
         self.noise_out = nn.Linear(config.width, latent.width)
 
     def forward(  # type: ignore[override]
-        self, latent: Tensor, modulation: Tensor, context: KeyValue, bias: Tensor, mixing: Mixing | None = None
+        self,
+        latent: Tensor,
+        modulation: Tensor,
+        context: Sequence[tuple[Any, ...]],
+        bias: Tensor,
+        mixing: Mixing | None = None,
     ) -> Tensor:
         """latent (r, c, z), modulation (r, m, d), context of (a, h, s, d/h), bias (a, 1, 1 or c, s) -> (r, c, z)."""
         x = self.latent_in(latent) + self.position

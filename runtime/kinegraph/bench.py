@@ -1,0 +1,269 @@
+"""How fast a bundle is on this machine: `kinegraph bench`.
+
+Stages are timed around the sessions of a pipeline that is otherwise the one everybody uses; what remains of a level's
+time is numpy. Cold start and peak memory are those of fresh processes.
+"""
+
+from __future__ import annotations
+
+import os
+import platform
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+import onnxruntime
+
+from kinegraph import __version__
+from kinegraph.contract import LEVELS
+from kinegraph.diffusion.sampler import StepInfo
+from kinegraph.errors import KinegraphError, MissingExtraError
+from kinegraph.graph import Action, Argument, SemanticGraph
+from kinegraph.pipeline import MotionPipeline
+from kinegraph.sessions import available_cpus
+
+STAGES: Final = ("parse", "tokens", "text", "graph", *LEVELS, "decode", "joints", "write")
+WARM_UP: Final = 3
+IDLE_SECONDS: Final = 1.0
+
+GRAPH: Final = SemanticGraph(
+    "a person walks forward and waves the right hand",
+    (
+        Action("walks", 9, 14, 0, arguments=(Argument("ARGM-DIR", "forward", 15, 22),)),
+        Action("waves", 27, 32, 1, arguments=(Argument("ARG1", "the right hand", 33, 47),)),
+    ),
+)
+"""What is timed: as long a sentence as people type."""
+
+# Prints the peak of its resident memory; VmHWM, because ru_maxrss also counts the process that started this one.
+_FIRST_CLIP: Final = """
+import sys
+from kinegraph.cli import main
+code = main(sys.argv[1:])
+try:
+    lines = open("/proc/self/status").read().splitlines()
+    print(next(line.split()[1] for line in lines if line.startswith("VmHWM")))
+except OSError:
+    print(0)
+sys.exit(code)
+"""
+
+
+@dataclass(frozen=True)
+class ColdStart:
+    """A fresh process from its start to a written file."""
+
+    milliseconds: tuple[float, ...]
+    peak_bytes: int | None
+    """Most resident memory; None where the system does not tell."""
+
+
+@dataclass(frozen=True)
+class BenchReport:
+    """What was measured; every repeat is kept."""
+
+    machine: Mapping[str, Any]
+    bundle: str
+    precision: str
+    threads: Mapping[str, int]
+    """Of the step sessions and of the others."""
+    seconds: float
+    """Length of the clip."""
+    stages: Mapping[str, tuple[float, ...]]
+    """Milliseconds; "parse" is missing where spaCy is, "total" is all of a repeat."""
+    idle_cpu: float
+    """Share of a core that is used while nothing is asked for."""
+    cold: Mapping[str, ColdStart]
+    """"graph": from a graph in JSON; "sentence": with the parser."""
+
+
+def bench(
+    path: Path | None = None, *, seconds: float = 4.0, repeats: int = 30, threads: int | None = None, cold: int = 3
+) -> BenchReport:
+    """Measure a bundle.
+
+    Args:
+        path: folder of the bundle; None is the one that comes with the package.
+        seconds: length of the clip.
+        repeats: clips timed, after `WARM_UP` more.
+        threads: as in `MotionPipeline.load`.
+        cold: fresh processes of each kind.
+
+    Raises:
+        BundleError, InvalidInputError: as `MotionPipeline.load` and `generate`.
+    """
+    watch = _Watch()
+    pipe = watch.pipeline(MotionPipeline.load(path, threads=threads))
+    parses = _parses(pipe)
+    rows = [_clip(pipe, watch, seconds, parses) for _ in range(WARM_UP + repeats)][WARM_UP:]
+    return BenchReport(
+        machine=machine(),
+        bundle=f"{pipe.manifest.name} {pipe.manifest.version}",
+        precision=pipe.manifest.precision,
+        threads=watch.threads,
+        seconds=seconds,
+        stages={name: tuple(row[name] for row in rows) for name in rows[0]},
+        idle_cpu=_idle(),
+        cold={
+            name: _cold_start(path, seconds, name, cold) for name in (["graph", "sentence"] if parses else ["graph"])
+        },
+    )
+
+
+def machine() -> dict[str, Any]:
+    """What times depend on."""
+    return {
+        "cpu": _cpu(),
+        "cpus": available_cpus(),
+        "load": [round(value, 2) for value in os.getloadavg()] if hasattr(os, "getloadavg") else None,
+        "system": f"{platform.system()} {platform.machine()}",
+        "python": platform.python_version(),
+        "kinegraph": __version__,
+        "numpy": np.__version__,
+        "onnxruntime": onnxruntime.__version__,
+    }
+
+
+def table(report: BenchReport) -> str:
+    """For people."""
+    own = report.machine
+    lines = [
+        f"{report.bundle} ({report.precision}), a clip of {report.seconds:g} s; threads: steps "
+        f"{report.threads['steps']}, others {report.threads['others']}",
+        f"{own['cpu']}, {own['cpus']} CPUs, load {own['load']}; {own['system']}, Python {own['python']}, "
+        f"numpy {own['numpy']}, onnxruntime {own['onnxruntime']}",
+        "",
+        f"{'ms':<10}{'p50':>8}{'p90':>8}{'p99':>8}{'min':>8}",
+    ]
+    for name, times in report.stages.items():
+        marks = [*np.percentile(times, (50, 90, 99)), min(times)]
+        lines.append(f"{name:<10}" + "".join(f"{value:8.2f}" for value in marks))
+    total = float(np.median(report.stages["total"]))
+    lines += [
+        "",
+        f"{1000 * report.seconds / total:.0f} times as fast as the clip plays; idle: {report.idle_cpu:.1%} CPU",
+    ]
+    for name, start in report.cold.items():
+        memory = "" if start.peak_bytes is None else f", peak memory {start.peak_bytes / 1e6:.0f} MB"
+        lines.append(f"first file of a fresh process, from a {name}: {min(start.milliseconds):.0f} ms{memory}")
+    return "\n".join(lines)
+
+
+class _Watch:
+    """Notes when the calls of a pipeline's parts begin and end."""
+
+    def __init__(self) -> None:
+        self.events: list[tuple[str, float, float]] = []
+        self.threads: dict[str, int] = {}
+
+    def pipeline(self, inner: MotionPipeline) -> MotionPipeline:
+        """The same bundle, watched."""
+        sessions, tokenizer = inner._sessions, self._around(inner._tokenizer, "encode", "tokens")
+        self.threads = {"steps": _threads(sessions.step[LEVELS[0]]), "others": _threads(sessions.decoder)}
+        watched = replace(
+            sessions,
+            text_encoder=self._around(sessions.text_encoder, "run", "text"),
+            graph_encoder=self._around(sessions.graph_encoder, "run", "graph"),
+            decoder=self._around(sessions.decoder, "run", "decode"),
+        )
+        return MotionPipeline(inner.manifest, watched, tokenizer, inner._tables, inner._parser)
+
+    def _around(self, inner: Any, method: str, name: str) -> Any:
+        return _Watched(inner, method, name, self.events)
+
+
+class _Watched:
+    """Stands for an object, one of whose methods is timed."""
+
+    def __init__(self, inner: Any, method: str, name: str, events: list[tuple[str, float, float]]) -> None:
+        self._inner, self._name, self._events = inner, name, events
+        setattr(self, method, lambda *arguments: self._timed(getattr(inner, method), arguments))
+
+    def _timed(self, call: Any, arguments: Sequence[Any]) -> Any:
+        start = time.perf_counter()
+        found = call(*arguments)
+        self._events.append((self._name, start, time.perf_counter()))
+        return found
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._inner, name)
+
+
+def _parses(pipe: MotionPipeline) -> bool:
+    """Whether sentences can be parsed here; without spaCy or a parser all else can still be timed."""
+    try:
+        pipe.parse(GRAPH.caption)
+    except MissingExtraError:
+        return False
+    except KinegraphError:
+        if pipe.manifest.files.get("parser.bin") is not None:
+            raise
+        return False
+    return True
+
+
+def _clip(pipe: MotionPipeline, watch: _Watch, seconds: float, parses: bool) -> dict[str, float]:
+    """Milliseconds of every stage of one clip."""
+    watch.events.clear()
+    level_ends: dict[str, float] = {}
+    begin = time.perf_counter()
+    graph = pipe.parse(GRAPH.caption) if parses else GRAPH
+    parsed = time.perf_counter()
+
+    def note(info: StepInfo) -> None:
+        level_ends[info.level] = time.perf_counter()
+
+    clip = pipe.generate(graph, seconds=seconds, seed=1, on_step=note)
+    made = time.perf_counter()
+    with tempfile.TemporaryDirectory() as folder:
+        writing = time.perf_counter()
+        clip.save(Path(folder) / "clip.bvh")
+        written = time.perf_counter() - writing
+    found = {name: end - start for name, start, end in watch.events}
+    ends = {name: end for name, _, end in watch.events}
+    marks = [ends["graph"], *(level_ends[level] for level in LEVELS)]
+    found |= {level: after - before for level, before, after in zip(LEVELS, marks, marks[1:], strict=False)}
+    found |= {"joints": made - ends["decode"], "write": written, "parse": parsed - begin}
+    stages = {name: 1000.0 * found[name] for name in STAGES if parses or name != "parse"}
+    return {**stages, "total": 1000.0 * (made - begin + written)}
+
+
+def _idle() -> float:
+    """Share of one core that sleeping sessions use."""
+    start = time.process_time()
+    time.sleep(IDLE_SECONDS)
+    return (time.process_time() - start) / IDLE_SECONDS
+
+
+def _cold_start(path: Path | None, seconds: float, kind: str, repeats: int) -> ColdStart:
+    times, peaks = [], []
+    with tempfile.TemporaryDirectory() as folder:
+        graph, target = Path(folder) / "graph.json", Path(folder) / "clip.bvh"
+        graph.write_text(GRAPH.to_json(), encoding="utf-8")
+        wish = ["--graph", str(graph)] if kind == "graph" else [GRAPH.caption]
+        more = [] if path is None else ["--bundle", str(path)]
+        words = ["generate", *wish, *more, "-o", str(target), "--seconds", str(seconds), "--force", "--quiet"]
+        for _ in range(repeats):
+            start = time.perf_counter()
+            done = subprocess.run([sys.executable, "-c", _FIRST_CLIP, *words], capture_output=True, check=False)
+            times.append(1000.0 * (time.perf_counter() - start))
+            if done.returncode != 0:
+                raise KinegraphError(f"a fresh process failed: {done.stderr.decode(errors='replace').strip()}")
+            peaks.append(1024 * int(done.stdout))
+    return ColdStart(tuple(times), max(peaks) or None)
+
+
+def _threads(session: onnxruntime.InferenceSession) -> int:
+    return int(session.get_session_options().intra_op_num_threads)
+
+
+def _cpu() -> str:
+    cpuinfo = Path("/proc/cpuinfo")
+    names = cpuinfo.read_text().splitlines() if cpuinfo.is_file() else []
+    return next((line.split(":", 1)[1].strip() for line in names if line.startswith("model name")), platform.machine())

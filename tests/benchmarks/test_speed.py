@@ -1,0 +1,78 @@
+"""The benchmarks of speed: arms take turns, nothing is dropped, gates and tables say what the numbers say."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+import timing
+
+torch = pytest.importorskip("torch")
+pytest.importorskip("onnxscript")
+
+import precision  # noqa: E402
+import report  # noqa: E402
+import scaling  # noqa: E402
+
+MACHINE = {"cpu": "a CPU", "cpus": 2, "onnxruntime": "1", "python": "3"}
+
+
+def test_arms_take_turns_and_every_repeat_is_kept() -> None:
+    calls: list[str] = []
+    times = timing.taking_turns({name: lambda name=name: calls.append(name) for name in "ab"}, 3, warm_up=1)
+    assert calls == list("abababab")
+    assert {name: len(values) for name, values in times.items()} == {"a": 3, "b": 3}
+    assert all(value >= 0 for values in times.values() for value in values)
+
+
+def test_the_summary_compares_minima() -> None:
+    text = timing.summary({"slow": [40.0, 20.0], "fast": [5.0, 50.0]}, against="slow")
+    assert "| slow | 30.0 | 20.0 |" in text and text.endswith("4.00 |")
+
+
+def test_a_line_knows_a_curve() -> None:
+    straight = scaling.line({f"{n} frames": [3.0 + 0.5 * n, 999.0] for n in (20, 100, 196)})
+    assert straight["start_ms"] == pytest.approx(3.0) and straight["per_unit_ms"] == pytest.approx(0.5)
+    assert straight["deviation"] == pytest.approx(0.0, abs=1e-9)
+    assert scaling.line({f"{n} frames": [float(n * n)] for n in (20, 100, 196)})["deviation"] > 0.1
+
+
+def test_throughput_counts_clips() -> None:
+    assert scaling.throughput({"batch of 1": [50.0, 20.0], "batch of 16": [160.0]}) == {
+        "batch of 1": 50.0,
+        "batch of 16": 100.0,
+    }
+
+
+def gate(behaviour: float, r_precision: float, milliseconds: float) -> dict[str, bool]:
+    def of(first: float, second: float) -> dict[str, Any]:
+        values = dict(zip(precision.GATED, (first, second), strict=True))
+        return {name: {"mean": value, "plus_minus": 0.02} for name, value in values.items()}
+
+    scores = {"reference": of(0.9, 0.99), "candidate": of(behaviour, r_precision)}
+    return precision.verdict({"scores": scores, "times_ms": {"reference": [9.0, 10.0], "candidate": [milliseconds]}})
+
+
+def test_int8_passes_only_within_the_interval_and_only_faster() -> None:
+    assert all(gate(0.89, 0.98, 8.0).values())
+    assert gate(0.87, 0.98, 8.0) == {"behaviour": False, "r_precision_1": True, "faster": True}
+    assert gate(0.95, 0.96, 8.0) == {"behaviour": True, "r_precision_1": False, "faster": True}
+    assert not gate(0.9, 0.99, 9.5)["faster"]
+
+
+def test_the_report_takes_what_is_there_and_refuses_quick_runs(tmp_path: Path) -> None:
+    found = {
+        "machine": MACHINE,
+        "seconds": 4.0,
+        "idle_cpu": 0.001,
+        "stages": {"total": [50.0, 40.0], "write": [10.0, 10.0]},
+        "cold": {"graph": {"milliseconds": [400.0, 380.0], "peak_bytes": 160_000_000}},
+    }
+    (tmp_path / "bench.json").write_text(json.dumps(found))
+    text = report.report(tmp_path)
+    assert "35 ms (least 30)" in text and "380 ms, peak memory 160 MB" in text and "0.1%" in text
+    (tmp_path / "low_power.json").write_text(json.dumps({"machine": MACHINE, "quick": True, "reports": {}}))
+    with pytest.raises(ValueError, match="quick run"):
+        report.report(tmp_path)

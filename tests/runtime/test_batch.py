@@ -1,0 +1,74 @@
+"""Many sentences in one run: each clip is the one of its sentence and seed."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+from same_motion import assert_same_motion
+
+from kinegraph import InvalidInputError, MotionPipeline
+from kinegraph.bundle import DEFAULT_BUNDLE
+from kinegraph.edits import with_weight
+from kinegraph.limits import MAX_TAKES
+
+pytestmark = pytest.mark.skipif(not (DEFAULT_BUNDLE / "manifest.json").is_file(), reason="no default bundle")
+pytest.importorskip("spacy")
+
+FEW: dict[str, Any] = {"steps": (5, 5, 6)}
+TEXTS = ["a person walks forward", "someone raises the left hand, then bows", "runs"]
+
+
+@pytest.fixture(scope="module")
+def pipe() -> MotionPipeline:
+    return MotionPipeline.load(threads=1)
+
+
+def test_a_clip_is_that_of_its_sentence_its_length_and_its_seed(pipe: MotionPipeline) -> None:
+    clips = pipe.batch(TEXTS, takes=2, seconds=[1.5, 2, 1], seed=11, foot_fix=False, **FEW)
+    assert [clip.text for clip in clips] == [text for text in TEXTS for _ in range(2)]
+    assert [clip.seed for clip in clips] == [11, 12, 13, 14, 15, 16]
+    assert [clip.frames for clip in clips] == [30, 30, 40, 40, 20, 20]
+    for clip in clips:
+        alone = pipe.generate(clip.text, seed=clip.seed, seconds=clip.duration, foot_fix=False, **FEW)
+        assert_same_motion(pipe, clip.joints, alone.joints)
+
+
+def test_without_seconds_every_sentence_decides_for_itself(pipe: MotionPipeline) -> None:
+    clips = pipe.batch(TEXTS, seed=3, **FEW)
+    alone = [pipe.generate(text, seed=3 + place, **FEW) for place, text in enumerate(TEXTS)]
+    assert [clip.frames for clip in clips] == [clip.frames for clip in alone]
+    assert len({clip.frames for clip in clips}) > 1
+
+
+def test_a_batch_is_as_many_runs_as_one_clip(pipe: MotionPipeline) -> None:
+    seen: list[object] = []
+    pipe.batch(TEXTS, seconds=1, seed=1, on_step=lambda info: bool(seen.append(info)) or True, **FEW)
+    assert len(seen) == 16
+
+
+def test_graphs_and_sentences_mix(pipe: MotionPipeline) -> None:
+    clips = pipe.batch([pipe.parse(TEXTS[0]), TEXTS[0]], seconds=1, seed=1, **FEW)
+    assert [clip.text for clip in clips] == [TEXTS[0]] * 2
+
+
+@pytest.mark.parametrize(
+    ("texts", "wishes", "message"),
+    [
+        ("a person walks", {}, "a batch takes a list"),
+        ([], {}, f"1 to {MAX_TAKES} sentences"),
+        (TEXTS, {"seconds": [1, 2]}, "2 lengths for 3 sentences"),
+        (TEXTS, {"takes": 0}, "takes must be"),
+        (TEXTS, {"takes": 22}, "3 sentences of 22 takes; 64 clips at most"),
+        ([*TEXTS, " "], {}, "caption is empty"),
+        (TEXTS, {"seed": 2**63 - 2}, "seed must be"),
+    ],
+)
+def test_a_wrong_batch_is_refused(pipe: MotionPipeline, texts: Any, wishes: dict[str, Any], message: str) -> None:
+    with pytest.raises(InvalidInputError, match=message):
+        pipe.batch(texts, **wishes)
+
+
+def test_weighted_graphs_are_refused(pipe: MotionPipeline) -> None:
+    with pytest.raises(InvalidInputError, match="weigh"):
+        pipe.batch([TEXTS[0], with_weight(pipe.parse(TEXTS[0]), "walks", 2.0)])

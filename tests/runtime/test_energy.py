@@ -1,0 +1,267 @@
+"""Energies of predicted noise: known potentials, an independent loop over a real composition, and its picture."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from cli_runs import fails
+
+from kinegraph import Cancelled, Concept, InvalidInputError, MissingExtraError, MotionPipeline
+from kinegraph.bundle import DEFAULT_BUNDLE
+from kinegraph.denoisers import Denoisers
+from kinegraph.diffusion.energy import Plane, noise_field, plane_through, potential
+from kinegraph.diffusion.sampler import StepInfo, coarse_to_fine, initial_noise
+from kinegraph.energy import EnergyMap, EnergyMaps, axes_around, energy_maps
+from kinegraph.errors import NonFiniteError, OutputError
+from kinegraph.options import generate_options
+
+WALK, WAVE = "a person walks forward", "a person waves the right hand"
+FEW: dict[str, Any] = {"steps": (2, 2, 4), "seconds": 2, "seed": 5}
+
+
+GRID = 9
+
+
+@pytest.fixture(autouse=True)
+def coarse_grid(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("kinegraph.energy.GRID", GRID)
+
+
+def by_loops(field: np.ndarray, spacing: float) -> np.ndarray:
+    """The definition, edge by edge, solved by another routine."""
+    size = len(field)
+    rows, values = [], []
+    for i in range(size):
+        for j in range(size):
+            for axis, (k, m) in enumerate(((i, j + 1), (i + 1, j))):
+                if k < size and m < size:
+                    row = np.zeros(size * size)
+                    row[k * size + m], row[i * size + j] = 1.0, -1.0
+                    rows.append(row)
+                    values.append(spacing * 0.5 * (field[i, j, axis] + field[k, m, axis]))
+    found = np.linalg.lstsq(np.array(rows), np.array(values), rcond=None)[0].reshape(size, size)
+    return found - found.mean()
+
+
+def test_any_field_has_the_energy_of_its_definition() -> None:
+    field = np.random.default_rng(1).standard_normal((6, 6, 2))
+    energy, rest = potential(field, 0.7)
+    np.testing.assert_allclose(energy, by_loops(field, 0.7), atol=1e-10)
+    assert 0.1 < rest < 1
+    other = np.random.default_rng(2).standard_normal((6, 6, 2))
+    mixed = potential(0.3 * field - 2 * other, 0.7)[0]
+    np.testing.assert_allclose(mixed, 0.3 * energy - 2 * potential(other, 0.7)[0], atol=1e-10)
+
+
+def test_a_gradient_gives_its_potential_and_a_whirl_none() -> None:
+    place = np.linspace(-1.5, 2, 15)
+    x, y = np.meshgrid(place, place)
+    bowl = 0.5 * x**2 + y**2 + 0.3 * x * y - y
+    energy, rest = potential(np.stack([x + 0.3 * y, 2 * y + 0.3 * x - 1], axis=-1), place[1] - place[0])
+    np.testing.assert_allclose(energy, bowl - bowl.mean(), atol=1e-10)
+    assert rest < 1e-10
+    energy, rest = potential(np.stack([-y, x], axis=-1), place[1] - place[0])
+    assert rest > 0.5
+
+
+def test_the_energy_of_a_gaussian_is_lowest_at_its_mean() -> None:
+    """If all clips are one latent m: eps(z_t) = (z_t - sqrt(a) m) / sqrt(1 - a), E = |z - m|^2 a / (2 sqrt(1 - a))."""
+    rng = np.random.default_rng(3)
+    ends = [rng.standard_normal((2, 3)) for _ in range(3)]
+    plane = plane_through(ends)
+    mean, signal = plane.latent(0.4, -0.8), 0.6
+    asked = []
+
+    def predict(latent: np.ndarray, step: int) -> np.ndarray:
+        asked.append(step)
+        return ((latent - np.sqrt(signal) * mean) / np.sqrt(1 - signal)).astype(np.float32)
+
+    places = (np.linspace(-1, 2, 9), np.linspace(-2, 1, 9))
+    energy, _ = potential(noise_field(predict, 7, signal, plane, places, lambda: None), 3 / 8)
+    x, y = np.meshgrid(*places)
+    wanted = ((x - 0.4) ** 2 + (y + 0.8) ** 2) * signal / (2 * np.sqrt(1 - signal))
+    np.testing.assert_allclose(energy, wanted - wanted.mean(), atol=1e-5)
+    assert asked == [7] * 81
+
+
+def test_the_plane_holds_the_samples() -> None:
+    rng = np.random.default_rng(4)
+    ends = [rng.standard_normal((2, 5)) for _ in range(4)]
+    plane = plane_through(ends)
+    np.testing.assert_allclose(plane.axes @ plane.axes.T, np.eye(2), atol=1e-12)
+    for end in ends[:3]:
+        np.testing.assert_allclose(plane.latent(*plane.place(end)), end, atol=1e-12)
+    assert plane.place(ends[0]).tolist() == [0, 0]
+    first, second = plane.place(ends[1]), plane.place(ends[2])
+    assert first[1] == pytest.approx(second[1]) and second[0] > first[0]
+
+
+@pytest.mark.parametrize("count", [2, 3, 4])
+def test_samples_that_coincide_leave_a_plane(count: int) -> None:
+    same = np.arange(6.0).reshape(2, 3)
+    plane = plane_through([same] * count)
+    np.testing.assert_allclose(plane.axes @ plane.axes.T, np.eye(2), atol=1e-12)
+    first, second = axes_around(np.zeros((count, 2)))
+    assert first[0] == second[0] == -1 and len(first) == GRID
+
+
+def test_noise_that_is_none_is_an_error() -> None:
+    plane = Plane(np.zeros((1, 2)), np.eye(2))
+    with pytest.raises(NonFiniteError):
+        noise_field(lambda z, _: z * np.nan, 0, 0.5, plane, (np.arange(2.0), np.arange(2.0)), lambda: None)
+
+
+@pytest.fixture(scope="module")
+def pipe() -> MotionPipeline:
+    pytest.importorskip("spacy")
+    if not (DEFAULT_BUNDLE / "manifest.json").is_file():
+        pytest.skip("no default bundle")
+    return MotionPipeline.load(threads=1)
+
+
+def test_a_latent_composition_is_the_sum_of_its_concepts(pipe: MotionPipeline) -> None:
+    # Eq. 7 with weights that sum to 1: what the concepts share cancels, the guided predictions add up
+    maps = energy_maps(pipe, [Concept(WALK, 0.3), Concept(WAVE, 0.7)], method="latent", **FEW).maps
+    first, second, composed = (each.energy - each.energy.mean() for each in maps[:3])
+    np.testing.assert_allclose(composed, 0.3 * first + 0.7 * second, atol=1e-4 * np.ptp(composed))
+    assert np.abs(first - second).max() > 0.1 * np.ptp(composed)
+
+
+def test_a_map_follows_the_predictions_of_generate(pipe: MotionPipeline) -> None:
+    """The guided predictor of `generate`, which knows nothing of mixtures, asked place by place."""
+    found = energy_maps(pipe, [WALK], **FEW)
+    options = generate_options(pipe.manifest, **FEW)
+    denoisers = Denoisers(pipe._sessions, pipe.manifest)
+    encoded = pipe._encode([pipe._arrays(pipe.parse(WALK))])
+    schedule, plans = pipe.manifest.schedule.noise, denoisers.plans(options)
+    made: dict[str, Any] = {}
+
+    def predictor_for(number: int, times: Any, coarse: Any) -> Any:
+        name = ("motion", "action", "specific")[number]
+        frames = np.array([options.frames])
+        made["predict"] = denoisers._predictor(name, encoded, coarse, frames, times, options.guidance[name])
+        return made["predict"]
+
+    noises = [noise[None] for noise in initial_noise(FEW["seed"], plans)]
+    end = coarse_to_fine(plans, noises, predictor_for, schedule)[-1][0].astype(np.float64)
+    # of a plane through one sample, the axes are the first two coordinates
+    signals = schedule.alphas_cumprod[schedule.timesteps(4)]
+    step = int(np.argmin(np.abs(signals - 0.9)))
+    field = np.zeros((GRID, GRID, 2))
+    for i, second in enumerate(found.second):
+        for j, first in enumerate(found.first):
+            place = end.copy()
+            place[0, 0] += first
+            place[0, 1] += second
+            noise = made["predict"]((signals[step] ** 0.5 * place[None]).astype(np.float32), step)
+            field[i, j] = signals[step] ** 0.5 * noise[0, 0, :2]
+    energy = by_loops(field, found.first[1] - found.first[0])
+    np.testing.assert_allclose(found.maps[1].energy, energy - energy.min(), atol=1e-3 * np.ptp(energy))
+
+
+def test_a_map_is_that_of_the_clip_that_is_made(pipe: MotionPipeline) -> None:
+    one = energy_maps(pipe, [WALK], **FEW)
+    concept, composed, text = one.maps
+    for other in (composed, text):
+        np.testing.assert_allclose(other.energy, concept.energy, atol=1e-4 * np.ptp(concept.energy))
+        np.testing.assert_allclose(other.sample, concept.sample, atol=1e-4)
+    assert np.abs(concept.sample).max() < 1e-4
+
+
+def test_samples_end_low(pipe: MotionPipeline) -> None:
+    wishes: dict[str, Any] = {"seconds": 4, "seed": 4}
+    found = energy_maps(pipe, [WALK, WAVE], **wishes)
+    assert [each.energy.min() for each in found.maps] == [0.0] * 4
+    for own in found.maps:
+        j, i = (
+            int(np.abs(axis - at).argmin()) for axis, at in zip((found.first, found.second), own.sample, strict=True)
+        )
+        assert own.energy[i, j] < 0.1 * own.energy.max(), own.label
+        assert own.rest < 0.1
+    walk, wave, composed, text = (each.energy for each in found.maps)
+    # the composition lies nearer to the text that names both than to either concept
+    alike = [np.corrcoef(composed.ravel(), each.ravel())[0, 1] for each in (walk, wave, text)]
+    assert alike[2] > max(alike[:2])
+
+
+def test_progress_is_told_and_can_stop(pipe: MotionPipeline) -> None:
+    seen: list[StepInfo] = []
+    energy_maps(pipe, [WALK, WAVE], **FEW, on_step=seen.append)
+    rows = [info for info in seen if info.level == "energy"]
+    assert [info.done for info in rows] == list(range(1, 4 * GRID + 1)) and rows[-1].total == 4 * GRID
+    assert len(seen) == 8 + len(rows)
+    with pytest.raises(Cancelled, match="row 2"):
+        energy_maps(pipe, [WALK], **FEW, on_step=lambda info: not (info.level == "energy" and info.step == 2))
+
+
+def test_bad_input_is_refused_as_compose_does(pipe: MotionPipeline) -> None:
+    for concepts, how in (([], {}), ([WALK], {"method": "sum"}), ([WALK], {"lambdas": (1, 1, 1)})):
+        with pytest.raises(InvalidInputError):
+            energy_maps(pipe, concepts, **how, **FEW, on_step=lambda _: pytest.fail("a model ran"))
+
+
+def some_maps(count: int = 3, label: str = "a $5 walk") -> EnergyMaps:
+    place = np.linspace(-1, 1, 7)
+    bowl = place[:, None] ** 2 + place[None] ** 2
+    maps = [EnergyMap(label, bowl * (k + 1), np.array([0.1 * k, 0.0]), 0.3 * k, 0.01) for k in range(count)]
+    return EnergyMaps(tuple(maps), place, place, 101)
+
+
+@pytest.mark.parametrize("count", [1, 3, 10])
+def test_the_picture_depends_on_the_maps_alone(count: int, tmp_path: Path) -> None:
+    pytest.importorskip("matplotlib")
+    for name in ("one.png", "two.png"):
+        some_maps(count).save(tmp_path / name)
+    assert (tmp_path / "one.png").read_bytes() == (tmp_path / "two.png").read_bytes()
+    assert (tmp_path / "one.png").read_bytes()[:4] == b"\x89PNG"
+    with pytest.raises(OutputError, match="exists"):
+        some_maps().save(tmp_path / "one.png")
+    some_maps(label="word " * 100).save(tmp_path / "one.png", force=True)
+
+
+def test_flat_maps_are_drawn(tmp_path: Path) -> None:
+    pytest.importorskip("matplotlib")
+    flat = EnergyMap("nothing", np.zeros((3, 3)), np.zeros(2), 0.0, 0.0)
+    EnergyMaps((flat,), np.arange(3.0), np.arange(3.0), 1).save(tmp_path / "flat.png")
+
+
+def test_without_matplotlib_the_way_out_is_named(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setattr("kinegraph.formats.find_spec", lambda package: None)
+    with pytest.raises(MissingExtraError, match=r"kinegraph\[plot\]"):
+        some_maps().save(tmp_path / "one.png")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["-o", "x.npz", "--energy", "x.bvh"], "bvh"),
+        (["-o", "x.png", "--energy", "./x.png"], "same file"),
+        (["-o", "x.npz", "--energy", "nowhere/x.png"], "nowhere"),
+    ],
+)
+def test_the_command_line_checks_the_picture_first(
+    capsys: pytest.CaptureFixture[str],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    arguments: list[str],
+    message: str,
+) -> None:
+    pytest.importorskip("matplotlib")
+    monkeypatch.chdir(tmp_path)
+    assert message in fails(capsys, "compose", "--and", WALK, *arguments)
+    assert not list(tmp_path.iterdir())
+
+
+def test_the_command_line_draws(pipe: MotionPipeline, tmp_path: Path) -> None:
+    pytest.importorskip("matplotlib")
+    from kinegraph import cli
+
+    words = ["--and", WALK, "--and", f"{WAVE}:0.8", "--steps", "2", "--seconds", "1", "--seed", "3", "--threads", "1"]
+    target, picture = tmp_path / "x.npz", tmp_path / "energy.png"
+    assert cli.main(["compose", *words, "-o", str(target), "--energy", str(picture)]) == 0
+    wishes: dict[str, Any] = {"steps": 2, "seconds": 1, "seed": 3}
+    energy_maps(pipe, [Concept(WALK), Concept(WAVE, 0.8)], **wishes).save(tmp_path / "again.png")
+    assert target.is_file() and picture.read_bytes() == (tmp_path / "again.png").read_bytes()

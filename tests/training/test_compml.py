@@ -1,0 +1,253 @@
+"""Clips that the model composes for training: which, how clean, and that a killed run goes on to the same folder."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+import time
+from dataclasses import dataclass, field
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from motions import posed, turn, walk
+
+pytest.importorskip("torch")
+pytest.importorskip("spacy")
+
+from kinegraph.bundle import DEFAULT_BUNDLE
+from kinegraph_training import compml
+from kinegraph_training.compositions import HeldOut
+from kinegraph_training.config import DataConfig
+from kinegraph_training.data import MotionClip, mirrored_label, read_split
+from kinegraph_training.data_writer import PreparedClip, write_data
+from kinegraph_training.dataset import training_clips
+from kinegraph_training.measures import jerk
+from kinegraph_training.phrases import LOCOMOTION
+
+needs_default = pytest.mark.skipif(not (DEFAULT_BUNDLE / "manifest.json").is_file(), reason="no default bundle")
+HELD = {"together": [["walk", "wave-left-hand"], ["walk-turn-left", "raise-up-left-hand"]], "in_order": []}
+
+
+def waving(frames: int, shoulder: int) -> np.ndarray:
+    sign = 1.0 if shoulder == 16 else -1.0
+    rows = [
+        posed(np.array([0, 0.95, 0]), {shoulder: turn("z", sign * (1 + 0.3 * np.sin(0.2 * f)))}) for f in range(frames)
+    ]
+    return np.stack(rows).astype(np.float32)
+
+
+RECORDED = (
+    ("walk", "normal", walk(24)),
+    ("walk", "happy", walk(28)),
+    ("walk-turn-left", "normal", walk(30, turning=0.02)),
+    ("walk-turn-right", "normal", walk(30, turning=-0.02)),
+    ("wave-left-hand", "normal", waving(30, 16)),
+    ("wave-right-hand", "normal", waving(30, 17)),
+    ("raise-up-left-hand", "normal", waving(26, 16)),
+    ("raise-up-right-hand", "happy", waving(26, 17)),
+)
+
+
+@pytest.fixture
+def data(tmp_path: Path) -> Path:
+    """A folder of recorded clips, with the list of pairs held out."""
+    return written(tmp_path / "data", 0.0)
+
+
+@pytest.fixture
+def rough_data(tmp_path: Path) -> Path:
+    """The same with joints that tremble: beside figures that move like clockwork, no real motion is clean."""
+    return written(tmp_path / "rough", 0.02)
+
+
+def written(folder: Path, tremble: float) -> Path:
+    rng = np.random.default_rng(0)
+    write_data(
+        folder,
+        [
+            PreparedClip(
+                f"{content}_{style}",
+                joints + rng.normal(0, tremble, joints.shape),
+                ("a person moves.",),
+                "made",
+                "train",
+                content,
+                style,
+            )
+            for content, style, joints in RECORDED
+        ],
+        20,
+    )
+    (folder / "held_out.json").write_text(json.dumps(HELD))
+    return folder
+
+
+def words(data: Path, out: Path, *more: str) -> list[str]:
+    return ["--data", str(data), "--held-out", str(data / "held_out.json"), "--out", str(out), *more]
+
+
+@dataclass
+class Stub:
+    """A pipeline that hands out given motions."""
+
+    motions: list[np.ndarray] = field(default_factory=list)
+    asked: list[dict[str, Any]] = field(default_factory=list)
+    manifest: Any = field(default_factory=lambda: SimpleNamespace(fps=20, frames=SimpleNamespace(min=16, max=196)))
+
+    def compose(self, concepts: Any, **how: Any) -> Any:
+        self.asked.append({"concepts": concepts, **how})
+        return SimpleNamespace(joints=self.motions[min(len(self.asked), len(self.motions)) - 1])
+
+
+def composer(data: Path, *motions: np.ndarray) -> compml.Composer:
+    return compml.composer(Stub(list(motions)), data, data / "held_out.json", 5)  # type: ignore[arg-type]
+
+
+def test_only_what_was_recorded_and_is_not_held_out_is_composed(data: Path) -> None:
+    own = composer(data)
+    wishes = [own.wish(number, 0) for number in range(300)]
+    never = {frozenset(pair) for pair in HELD["together"]}
+    never |= {frozenset(map(mirrored_label, pair)) for pair in never}
+    found = {frozenset(wish.contents) for wish in wishes}
+    assert not found & never and len(found) > 4
+    recorded = {(content, style): len(joints) for content, style, joints in RECORDED}
+    for wish in wishes:
+        first, second = wish.contents
+        assert (first, wish.style) in recorded and (second, wish.style) in recorded
+        assert second not in LOCOMOTION
+        assert wish.seconds == recorded[first, wish.style] / 20
+        assert len(set(wish.captions)) == 4
+    assert {wish.style for wish in wishes} == {"normal", "happy"}
+    # The manner is said of each action, and clips are drawn independently of one another.
+    assert all("happ" in " ".join(wish.concepts) for wish in wishes if wish.style == "happy")
+    assert len({wish.seed for wish in wishes}) == 300
+    assert own.wish(17, 0) == wishes[17] != own.wish(17, 1)
+
+
+def test_data_without_two_actions_that_go_together_are_refused(data: Path, tmp_path: Path) -> None:
+    alone = tmp_path / "alone"
+    write_data(alone, [PreparedClip("a", walk(30), ("walks.",), "made", "train", "walk", "normal")], 20)
+    with pytest.raises(compml.InvalidInputError, match="nothing can be composed"):
+        compml.composer(Stub(), alone, data / "held_out.json", 0)  # type: ignore[arg-type]
+    legs = [("a", walk(30), "walk"), ("b", walk(30, turning=0.02), "walk-turn-left")]
+    write_data(alone, [PreparedClip(n, j, ("walks.",), "made", "train", c, "normal") for n, j, c in legs], 20)
+    with pytest.raises(compml.InvalidInputError, match="no two actions"):
+        compml.composer(Stub(), alone, data / "held_out.json", 0).wish(0, 0)  # type: ignore[arg-type]
+
+
+def shaking(size: float) -> np.ndarray:
+    """A walk whose joints all jump up and down: its jerk is that of the walk and about 64000 size."""
+    joints = walk(40)
+    joints[::2, :, 1] += size
+    return joints
+
+
+def test_a_clip_that_jerks_or_skates_is_drawn_again(data: Path) -> None:
+    calm = waving(40, 16)
+    sliding = walk(40, speed=0.5)
+    own = composer(data, shaking(0.5), sliding, calm)
+    wish, joints, redrawn = own.make(3)
+    assert redrawn == 2 and joints is calm
+    assert wish == own.wish(3, 2)
+    assert own.pipe.asked[-1] == {  # type: ignore[attr-defined]
+        "concepts": wish.concepts, "text": wish.captions[0], "seconds": wish.seconds, "seed": wish.seed,
+    }  # fmt: skip
+
+
+def test_the_limit_is_the_worse_of_both_actions(data: Path) -> None:
+    own = composer(data)
+    highest = {c: max(jerk(j) for content, _, j in RECORDED if content == c) for c, _, _ in RECORDED}
+    found = {content: row[0] for content, row in own.highest.items()}
+    assert found == pytest.approx(highest, rel=0.1)  # joints are stored to 0.1 mm
+    pair = ("wave-left-hand", "walk")
+    sizes = np.geomspace(1e-5, 1e-1, 400)
+    times = np.array([jerk(shaking(size)) for size in sizes]) / max(highest[each] for each in pair)
+    below, above = sizes[times < 1.4][-1], sizes[times > 1.6][0]
+    assert own.clean(shaking(below), pair) and not own.clean(shaking(above), pair)
+
+
+def test_a_clip_that_is_never_clean_is_left_out_and_counted(data: Path, tmp_path: Path) -> None:
+    own = composer(data, shaking(0.5))
+    out = tmp_path / "out"
+    compml.begin(out, {"seed": 5})
+    counts = compml.compose_all(own, out, 2, 1)
+    assert counts == {"clips": 0, "left_out": 2, "rejected": 2 * compml.ATTEMPTS}
+    assert read_split(out, "train") == []
+
+
+@needs_default
+def test_a_killed_run_goes_on_to_the_same_folder(rough_data: Path, tmp_path: Path) -> None:
+    count = 4
+    command = [sys.executable, "-m", "kinegraph_training.compml"]
+    command += words(rough_data, tmp_path / "killed", "--count", str(count), "--jobs", "2", "--seed", "3")
+    running = subprocess.Popen(command, stderr=subprocess.DEVNULL)
+    parts = tmp_path / "killed" / "parts"
+    try:
+        while running.poll() is None and len(list(parts.glob("*.npz"))) < 1:
+            time.sleep(0.01)
+    finally:
+        running.kill()
+        running.wait()
+    before = {path.name: path.stat().st_mtime_ns for path in parts.glob("*.npz")}
+    assert 1 <= len(before) < count and not (tmp_path / "killed" / "train.npz").exists()
+    assert subprocess.run(command, capture_output=True, check=False).returncode == 0
+    assert all((parts / name).stat().st_mtime_ns == when for name, when in before.items())
+    whole = words(rough_data, tmp_path / "whole", "--count", str(count), "--jobs", "1", "--seed", "3")
+    assert compml.main(whole) == 0
+    for name in ("train.npz", "captions.jsonl", "index.jsonl", "provenance.json"):
+        assert (tmp_path / "killed" / name).read_bytes() == (tmp_path / "whole" / name).read_bytes(), name
+    clips = read_split(tmp_path / "whole", "train")
+    assert len(clips) == count and all("+" in clip.content and clip.style for clip in clips)
+    origin = json.loads((tmp_path / "whole" / "provenance.json").read_text())["origin"]
+    assert "CC BY-NC" in origin["licence"]["weights"] and origin["bundle"]
+
+
+@needs_default
+def test_wrong_wishes_are_refused_before_anything_is_made(
+    data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "out"
+    for more, message in (
+        (["--count", "0"], "--count must be 1 to"),
+        (["--count", "2", "--jobs", "0"], "--jobs must be"),
+        (["--count", "2", "--seed", "-1"], "--seed"),
+        (["--count", "2", "--held-out", str(tmp_path / "none.json")], "none.json"),
+        (["--count", "2", "--data", str(tmp_path)], "train.npz is missing"),
+    ):
+        assert compml.main(words(data, out, *more)) == 2
+        assert message in capsys.readouterr().err and not out.exists()
+    out.mkdir()
+    (out / "thesis.txt").write_text("four years")
+    assert compml.main(words(data, out, "--count", "1")) == 2
+    assert "something else" in capsys.readouterr().err and list(out.iterdir()) == [out / "thesis.txt"]
+
+
+def test_clips_of_another_origin_are_not_mixed(tmp_path: Path) -> None:
+    compml.begin(tmp_path / "out", {"seed": 1, "bundle": "a"})
+    compml.begin(tmp_path / "out", {"seed": 1, "bundle": "a"})
+    with pytest.raises(compml.OutputError, match="another seed"):
+        compml.begin(tmp_path / "out", {"seed": 2, "bundle": "a"})
+
+
+def test_composed_clips_are_trained_on_as_they_are(data: Path, tmp_path: Path) -> None:
+    composed = MotionClip("c", walk(40), ("someone walks and waves the left hand.",), "walk-turn-left+x", "normal")
+    more = tmp_path / "more"
+    write_data(more, [PreparedClip("c", composed.joints, composed.captions, "composed", "train", "a+b", "normal")], 20)
+    config = DataConfig(splices=3, sequences=0)
+    alone = training_clips(data, config, data / "held_out.json")
+    both = training_clips(data, config, data / "held_out.json", [more])
+    added = {clip.id for clip in both} - {clip.id for clip in alone}
+    assert added == {"c", "c~mirror"} and len(both) == len(alone) + 2
+    mirror = next(clip for clip in both if clip.id == "c~mirror")
+    assert mirror.captions == ("someone walks and waves the right hand.",)
+
+
+def test_a_list_of_held_out_pairs_that_is_none_is_refused(tmp_path: Path) -> None:
+    for text in ("[]", '{"together": [["walk"]], "in_order": []}', '{"together": []}', "no"):
+        (tmp_path / "held.json").write_text(text)
+        with pytest.raises(compml.InvalidInputError, match="together"):
+            HeldOut.read(tmp_path / "held.json")
