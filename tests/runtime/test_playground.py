@@ -227,7 +227,7 @@ def test_concepts_give_the_clip_of_compose(server: Playing, here: Path) -> None:
     wish = {"concepts": concepts, "method": "latent", "seed": str(2**62 + 1), "seconds": "2", "steps": "3"}
     answer = server.post("/api/file", {"wish": wish, "suffix": ".npz"})
     flags = [*FLAGS, "--seed", str(2**62 + 1), "--method", "latent"]
-    assert cli.main(["compose", "--and", "a person walks", "--not", "a person runs", *flags, "-o", "x.npz"]) == 0
+    assert cli.main(["compose", "--and", "a person walks", "--not", "a person runs:0.5", *flags, "-o", "x.npz"]) == 0
     assert answer.body == (here / "x.npz").read_bytes()
 
 

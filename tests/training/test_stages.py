@@ -31,8 +31,9 @@ from kinegraph.tables import bones_of  # noqa: E402
 from kinegraph_export.checkpoints import read_run  # noqa: E402
 from kinegraph_export.export_bundle import Card, export_bundle  # noqa: E402
 from kinegraph_export.pipeline_parity import Request, torch_joints  # noqa: E402
-from kinegraph_export.recover import recover  # noqa: E402
+from kinegraph_export.recover import coarse_statistics, recover  # noqa: E402
 from kinegraph_training import train_denoisers, train_vae  # noqa: E402
+from kinegraph_training.config import read_preset  # noqa: E402
 from kinegraph_training.data_writer import PreparedClip, write_data  # noqa: E402
 from kinegraph_training.latents import read_vae  # noqa: E402
 
@@ -244,6 +245,12 @@ def test_a_run_recovered_from_a_bundle_exports_the_same_graphs(trained: Path, bu
     export_bundle(trained / "recovered", ASSETS, CARD, trained / "third", "fp32")
     files = json.loads((bundle / "manifest.json").read_bytes())["files"]
     assert json.loads((trained / "third" / "manifest.json").read_bytes())["files"] == files
+    # of a bundle without coarse decoders, the data tell how their latents were standardised
+    weights = torch.load(trained / "run" / "denoisers" / "last.ckpt", weights_only=True)["state_dict"]
+    measured = coarse_statistics(vaes, trained / "data", None, read_preset("tiny"))
+    assert set(measured) == {f"{level}_{name}" for level in LEVELS[:-1] for name in ("centre", "scale")}
+    for name, value in measured.items():
+        np.testing.assert_allclose(value, weights[name], atol=1e-5)
     with pytest.raises(InvalidInputError, match="is not what this preset"):
         recover(bundle, "edge", WEIGHTS, trained / "wrong")
 
