@@ -13,7 +13,6 @@ where it was.
 from __future__ import annotations
 
 import argparse
-import json
 import subprocess
 import sys
 from collections.abc import Mapping, Sequence
@@ -22,6 +21,7 @@ from typing import Any
 
 import numpy as np
 from compare import measured, share, table, trained
+from written import written
 
 from kinegraph.contract import LEVELS
 from kinegraph_training.config import read_preset
@@ -120,9 +120,7 @@ def main() -> int:
         results[COMPOSED].append(fine_tuned(seed, [composed], options))
     text = table(results) + "\n" + two_actions_table(results)
     budget = {name: getattr(options, name) for name in ("count", "steps", "seeds", "repeats")}
-    options.out.write_text(json.dumps({**budget, "rows": results}, indent=1) + "\n", encoding="utf-8")
-    options.out.with_suffix(".md").write_text(text, encoding="utf-8")
-    print(text)
+    written(options.out, {**budget, "rows": results}, text)
     return 0
 
 

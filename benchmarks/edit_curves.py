@@ -10,7 +10,6 @@ deviation over seeds at weight 1 or more. Writes JSON, and a Markdown table besi
 from __future__ import annotations
 
 import argparse
-import json
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,6 +18,7 @@ from typing import Any
 import numpy as np
 import predicates as p
 from numpy.typing import NDArray
+from written import written
 
 from kinegraph import MotionPipeline, SemanticGraph
 from kinegraph.edits import with_weight
@@ -148,10 +148,7 @@ def main() -> None:
     given = parser.parse_args()
     pipe = MotionPipeline.load(given.bundle)
     results = {curve.name: measured(pipe, curve, given.seeds, given.seconds) for curve in CURVES}
-    given.out.write_text(json.dumps(results, indent=1) + "\n", encoding="utf-8")
-    text = table(results)
-    given.out.with_suffix(".md").write_text(text, encoding="utf-8")
-    print(text)
+    written(given.out, results, table(results))
 
 
 if __name__ == "__main__":

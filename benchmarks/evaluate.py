@@ -10,7 +10,6 @@ and a Markdown table beside it.
 from __future__ import annotations
 
 import argparse
-import json
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -25,6 +24,7 @@ from numpy.typing import NDArray
 from recogniser import Recogniser
 from scores import GROUP, Judges, Reference, has_twin, scores, summarised
 from takes import BundleModel, Model, folder_of, generated
+from written import written
 
 from kinegraph import KinegraphError
 from kinegraph.motion.skeleton import bone_lengths
@@ -247,10 +247,7 @@ def main() -> int:
     except KinegraphError as error:
         print(f"evaluate: error: {error}", file=sys.stderr)
         return 2
-    arguments.out.write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
-    text = table(result)
-    arguments.out.with_suffix(".md").write_text(text, encoding="utf-8")
-    print(text)
+    written(arguments.out, result, table(result))
     return 0
 
 

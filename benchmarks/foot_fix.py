@@ -9,7 +9,6 @@ Writes JSON, and a Markdown table beside it.
 from __future__ import annotations
 
 import argparse
-import json
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Final
@@ -17,6 +16,7 @@ from typing import Any, Final
 import numpy as np
 from behaviour import SPLITS, captured
 from behaviours import BEHAVIOURS, Behaviour
+from written import written
 
 from kinegraph import MotionPipeline
 from kinegraph.motion.feet import SIDES, contacts, planted_feet
@@ -123,10 +123,7 @@ def main() -> None:
     clips = [clip for split in SPLITS for clip in read_split(given.data, split)]
     rows = [row(pipe, behaviour, clips, given.seeds) for behaviour in BEHAVIOURS]
     total = summary(rows)
-    given.out.write_text(json.dumps({"rows": rows, "summary": total}, indent=1) + "\n", encoding="utf-8")
-    text = table(rows, total)
-    given.out.with_suffix(".md").write_text(text, encoding="utf-8")
-    print(text)
+    written(given.out, {"rows": rows, "summary": total}, table(rows, total))
 
 
 if __name__ == "__main__":

@@ -10,7 +10,6 @@ a training run instead of a bundle, such as the ablation without a graph. Writes
 from __future__ import annotations
 
 import argparse
-import json
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -19,6 +18,7 @@ import numpy as np
 import predicates as p
 from evaluate import SPLITS, Plan, long_enough, model_of, ratio
 from takes import Model, folder_of, generated
+from written import written
 
 from kinegraph.bundle import DEFAULT_BUNDLE
 from kinegraph.edits import masked
@@ -101,10 +101,7 @@ def main() -> None:
     given = parser.parse_args()
     plan = Plan(given.bundle, given.run, given.data, given.work, None, given.repeats, {})
     result = measured(plan, read_parser(DEFAULT_BUNDLE))
-    given.out.write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
-    text = table(result)
-    given.out.with_suffix(".md").write_text(text, encoding="utf-8")
-    print(text)
+    written(given.out, result, table(result))
 
 
 if __name__ == "__main__":

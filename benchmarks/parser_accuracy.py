@@ -22,6 +22,7 @@ from types import ModuleType
 from typing import Any
 
 import torch
+from written import written
 
 from kinegraph.bundle import DEFAULT_BUNDLE
 from kinegraph.text.parser import GraphParser
@@ -159,10 +160,7 @@ def main() -> int:
     options = parser.parse_args()
     torch.set_num_threads(1)
     result = measured(options, read_scorer(options.scorer or options.gold.with_name("score_graphs.py")))
-    options.out.write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
-    text = table(result)
-    options.out.with_suffix(".md").write_text(text, encoding="utf-8")
-    print(text)
+    written(options.out, result, table(result))
     return 0
 
 

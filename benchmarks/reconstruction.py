@@ -8,7 +8,6 @@ No diffusion here: nothing generated can be better than this. Writes JSON, and a
 from __future__ import annotations
 
 import argparse
-import json
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -18,6 +17,7 @@ from evaluator import Evaluator
 from numpy.typing import NDArray
 from recogniser import Recogniser
 from scores import Reference, grouped_r_precision, recognised
+from written import written
 
 from kinegraph.motion.features import features_from_joints, joints_from_features
 from kinegraph_training import measures
@@ -85,10 +85,7 @@ def main() -> None:
     for split in SPLITS:
         clips = [clip for clip in read_split(arguments.data, split) if len(clip.joints) >= MIN_FRAMES]
         result[split] = {level: level_scores(vae, clips, evaluator, recogniser) for level, vae in levels.items()}
-    arguments.out.write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
-    text = table(result)
-    arguments.out.with_suffix(".md").write_text(text, encoding="utf-8")
-    print(text)
+    written(arguments.out, result, table(result))
 
 
 if __name__ == "__main__":
