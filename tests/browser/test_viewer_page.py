@@ -92,7 +92,7 @@ def test_dragging_turns_the_camera(open_page: Open, one: str) -> None:
 def test_caption_and_graph_stand_beside_it_whatever_they_say(open_page: Open, tmp_path: Path) -> None:
     (tmp_path / "page.html").write_bytes(page_of([clip(HOSTILE), clip("another")]))
     page = open_page((tmp_path / "page.html").as_uri(), 1000, 600)
-    assert page.locator("canvas").get_attribute("data-panes") == "2"
+    page.wait_for_selector("canvas[data-panes='2']")
     assert page.locator(".clip h2").all_text_contents() == [HOSTILE, "another"]
     assert page.locator(".panes p").all_text_contents() == [HOSTILE, "another"]
     assert page.locator(".clip .node .words").all_text_contents() == [HOSTILE, "another"]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Awaitable, Callable
+from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 
@@ -34,7 +35,9 @@ class Log:
 
 
 def run(body: Callable[[], Awaitable[None]]) -> None:
-    asyncio.run(asyncio.wait_for(body(), 10))  # type: ignore[arg-type]
+    """Runs in a thread of its own: a browser that another test drives keeps a loop running in this one."""
+    with ThreadPoolExecutor(1) as thread:
+        thread.submit(lambda: asyncio.run(asyncio.wait_for(body(), 10))).result()  # type: ignore[arg-type]
 
 
 async def started(log: Log, *names: str) -> list[asyncio.Task[None]]:
