@@ -193,7 +193,7 @@ class MotionPipeline:
         graphs = [text if isinstance(text, SemanticGraph) else self.parse(text) for text in texts]
         if any(node.weight != 1 for graph in graphs for node in graph.nodes):
             raise InvalidInputError("clips that share one run cannot weigh edges; make weighted clips one by one")
-        arrays = caption_arrays(self._sessions.text_encoder, self._tokenizer, graphs)
+        arrays = [self._arrays(graph) for graph in graphs]
         own = [
             with_own_length(each, self._tables.get(DURATION), self.manifest, [known]) if length is None else each
             for each, known, length in zip(options, arrays, lengths, strict=True)
@@ -326,7 +326,7 @@ class MotionPipeline:
         ]
 
     def _arrays(self, graph: SemanticGraph) -> GraphArrays:
-        return caption_arrays(self._sessions.text_encoder, self._tokenizer, [graph])[0]
+        return caption_arrays(self._sessions.text_encoder, self._tokenizer, graph)
 
     def _encode(self, arrays: Sequence[GraphArrays]) -> Conditions:
         """Graph attention over a batch of graphs."""

@@ -55,7 +55,7 @@ def pipe() -> MotionPipeline:
     [
         (lambda pipe: pipe.generate(GRAPH, seconds=1, seed=1, steps=STEPS), 1),
         (lambda pipe: pipe.takes(GRAPH, 5, seconds=1, seed=1, steps=STEPS), 1),
-        (lambda pipe: pipe.batch([GRAPH] * 3, takes=2, seconds=1, seed=1, steps=STEPS), 1),
+        (lambda pipe: pipe.batch([GRAPH] * 3, takes=2, seconds=1, seed=1, steps=STEPS), 3),
         (lambda pipe: pipe.compose([Concept(GRAPH), Concept(GRAPH, -0.5)], text=GRAPH, seconds=1, steps=STEPS), 3),
     ],
     ids=["one clip", "five takes", "a batch", "a fused composition"],
