@@ -77,6 +77,13 @@ def scaling_rows(found: dict[str, Any]) -> list[Row]:
         )
         for threads, own in times["concepts"].items()
     ]
+    rows += [
+        (
+            f"the same three concepts with AGD, against without, {threads}",
+            f"{min(own['3 concepts, AGD']) / min(own['3 concepts']):.2f} x",
+        )
+        for threads, own in times["concepts"].items()
+    ]
     for threads, own in times["batches"].items():
         rates = throughput(own)
         shown = ", ".join(f"{name.split()[-1]}: {rate:.0f}" for name, rate in rates.items())

@@ -24,6 +24,7 @@ FRAMES = (20, 60, 100, 148, 196)
 STEPS = (5, 10, 20, 40)
 BATCHES = (1, 4, 16, 32)
 CONCEPTS = (1, 2, 3, 5, 8)
+STEP_SIZES = (0.1, 0.1)
 WORDS = (
     "a person walks forward", "a person waves the right hand", "a person raises the left hand", "a person runs",
     "a person bows", "a person turns left", "a person waves both hands", "an old person walks",
@@ -53,17 +54,19 @@ def batch_arms(pipe: MotionPipeline) -> dict[str, Arm]:
 
 
 def concept_arms(pipe: MotionPipeline) -> dict[str, Arm]:
-    """Fused composition of more and more concepts, beside one plain clip."""
+    """Fused composition of more and more concepts, of three also with AGD, beside one plain clip."""
     graphs = [pipe.parse(text) for text in WORDS]
 
     def joint(count: int) -> Any:
         return pipe.parse(" while ".join(WORDS[: min(count, 4)]))
 
     found: dict[str, Arm] = {"plain": lambda: pipe.generate(graphs[0], seconds=4, seed=1)}
-    for count in CONCEPTS:
+    agd = {f"{count} concepts": None for count in CONCEPTS} | {"3 concepts, AGD": STEP_SIZES}
+    for name, sizes in agd.items():
+        count = int(name.split()[0])
         concepts, text = [Concept(graph) for graph in graphs[:count]], joint(count)
-        found[f"{count} concepts"] = lambda concepts=concepts, text=text: pipe.compose(
-            concepts, text=text, seconds=4, seed=1
+        found[name] = lambda concepts=concepts, text=text, sizes=sizes: pipe.compose(
+            concepts, text=text, agd=sizes, seconds=4, seed=1
         )
     return found
 
@@ -97,7 +100,8 @@ def table(result: dict[str, Any]) -> str:
         lines += [f"{threads}:", "", summary(times), ""]
         plain = min(times["plain"])
         ratios = ", ".join(f"{name} {min(own) / plain:.2f}" for name, own in times.items() if name != "plain")
-        lines += [f"Times plain: {ratios}.", ""]
+        adaptive = min(times["3 concepts, AGD"]) / min(times["3 concepts"])
+        lines += [f"Times plain: {ratios}. AGD takes {adaptive:.2f} times as long as the same without it.", ""]
     for threads, times in result["times_ms"]["batches"].items():
         rates = throughput(times)
         single = rates["batch of 1"]
