@@ -73,7 +73,7 @@ class Card:
 
     name: str
     version: str
-    licence: dict[str, str]
+    licence: Licence
     training_data: str
     scope: dict[str, str]
     training: dict[str, str | float | int]
@@ -87,8 +87,9 @@ class Card:
     def read(path: Path) -> Card:
         """Raises InvalidInputError where keys are missing or unknown."""
         try:
-            return Card(**json.loads(path.read_text(encoding="utf-8")))
-        except (OSError, ValueError, TypeError) as error:
+            said = json.loads(path.read_text(encoding="utf-8"))
+            return Card(**{**said, "licence": Licence(**said["licence"])})
+        except (OSError, ValueError, TypeError, KeyError) as error:
             raise InvalidInputError(f"{path} is no bundle card: {error}") from error
 
 
@@ -115,7 +116,7 @@ def manifest_of(
         format_version=FORMAT_VERSION,
         name=card.name,
         version=card.version,
-        licence=Licence(**card.licence),
+        licence=card.licence,
         provenance={
             "training_data": card.training_data,
             "text_encoder": f"sentence-transformers/all-MiniLM-L6-v2 from {MINILM}",

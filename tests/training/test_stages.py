@@ -26,6 +26,7 @@ from kinegraph.contract import LEVELS  # noqa: E402
 from kinegraph.diffusion.sampler import LevelPlan, initial_noise  # noqa: E402
 from kinegraph.edits import with_weight, without  # noqa: E402
 from kinegraph.errors import BundleError, InvalidInputError  # noqa: E402
+from kinegraph.manifest import Licence  # noqa: E402
 from kinegraph.motion.bones import with_bone_lengths  # noqa: E402
 from kinegraph.tables import bones_of  # noqa: E402
 from kinegraph_export.checkpoints import read_run  # noqa: E402
@@ -47,7 +48,7 @@ pytestmark = [
 CARD = Card(
     name="toy",
     version="0",
-    licence=dict.fromkeys(("code", "weights", "data", "text_encoder", "parser"), "public domain"),
+    licence=Licence(*["public domain"] * 5),
     training_data="made by the tests",
     scope={"actions": "walk"},
     training={"preset": "tiny"},
