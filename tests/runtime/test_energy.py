@@ -126,7 +126,8 @@ def test_a_latent_composition_is_the_sum_of_its_concepts(pipe: MotionPipeline) -
     # Eq. 7 with weights that sum to 1: what the concepts share cancels, the guided predictions add up
     maps = energy_maps(pipe, [Concept(WALK, 0.3), Concept(WAVE, 0.7)], method="latent", **FEW).maps
     first, second, composed = (each.energy - each.energy.mean() for each in maps[:3])
-    np.testing.assert_allclose(composed, 0.3 * first + 0.7 * second, atol=1e-4 * np.ptp(composed))
+    off = np.abs(composed - (0.3 * first + 0.7 * second)).max() / np.ptp(composed)
+    assert off < (1e-4 if pipe.manifest.precision == "fp32" else 0.01)  # int8: one scale spans all rows of a run
     assert np.abs(first - second).max() > 0.1 * np.ptp(composed)
 
 

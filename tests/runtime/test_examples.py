@@ -22,7 +22,7 @@ RUNS = {
     "edit_graph": ("True\n", ["graph.json"]),
     "embed": ("80 frames at 20 per second, seed 7", ["walk.glb"]),
     "progress_and_cancel": ("out of time: stopped by on_step at step", []),
-    "takes": ("seed 22 again, to 0.0", [f"turn_{seed}.bvh" for seed in (20, 21, 22, 23)]),
+    "takes": ("seed 22, ", ["best.glb", *(f"turn_{seed}.bvh" for seed in (20, 21, 22, 23))]),
 }
 """Example -> what it prints among other things, and the files it makes."""
 

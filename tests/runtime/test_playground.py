@@ -187,14 +187,17 @@ def test_a_clip_comes_with_its_graph_its_steps_and_the_time_of_each_stage(
 ) -> None:
     events = server.clip(WISH)
     kinds = [event["event"] for event in events]
-    assert kinds[:2] == ["queued", "graph"] and kinds[-1] == "clip" and {*kinds[2:-1]} == {"step"}
+    assert kinds[:2] == ["queued", "graph"] and kinds[-1] == "clip" and {*kinds[2:-1]} == {"step", "level"}
+    coarse = [(place, event["level"]) for place, event in enumerate(events) if event["event"] == "level"]
+    assert [level for _, level in coarse] == ["motion", "action"]
+    assert all(kinds[place - 1] == kinds[place + 1] == "step" for place, _ in coarse)  # between one level and the next
     assert events[1]["graph"] == pipe.parse(TEXT).to_dict()
     assert [(event["level"], event["done"]) for event in events if event.get("step") == 3] == [
         ("motion", 3), ("action", 6), ("specific", 9),
     ]  # fmt: skip
     clip, stages = events[-1]["clip"], events[-1]["stages"]
     assert (clip["text"], clip["seed"], clip["frames"]) == (TEXT, "7", 40)
-    assert list(stages) == ["parser", "text and motion", "action", "specific", "decoder, feet", "body"]
+    assert list(stages) == ["parser", "text and motion", "previews", "action", "specific", "decoder, feet", "body"]
     assert all(milliseconds > 0 for milliseconds in stages.values())
 
 
