@@ -15,9 +15,24 @@ from kinegraph.limits import MAX_TAKES
 if TYPE_CHECKING:
     from kinegraph.concepts import Concept
     from kinegraph.graph import SemanticGraph
+    from kinegraph.pipeline import MotionPipeline
 
 MAX_GRAPH_BYTES: Final = 1 << 20
 MAX_CAPTIONS_BYTES: Final = 1 << 26
+
+
+def load(bundle: Path | None, threads: int | None, parses: bool) -> MotionPipeline:
+    """The pipeline of a bundle; where a sentence will be parsed (`parses`), spaCy is imported meanwhile.
+
+    Raises:
+        BundleError, InvalidInputError: as `MotionPipeline.load`.
+    """
+    from kinegraph.pipeline import MotionPipeline
+    from kinegraph.text.analysis import import_in_background
+
+    if parses:
+        import_in_background()
+    return MotionPipeline.load(bundle, threads=threads)
 
 
 def level_steps(text: str) -> int | tuple[int, ...]:

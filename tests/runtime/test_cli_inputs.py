@@ -9,7 +9,7 @@ import pytest
 from cli_runs import Parser, fails, not_loaded, whole
 
 import kinegraph
-from kinegraph import cli
+from kinegraph import MotionPipeline, cli
 from kinegraph.bundle import DEFAULT_BUNDLE
 
 needs_default = pytest.mark.skipif(
@@ -45,7 +45,7 @@ def test_wrong_usage(capsys: pytest.CaptureFixture[str], here: Path, arguments: 
 def test_a_target_that_cannot_be_written_is_refused_before_anything_is_loaded(
     capsys: pytest.CaptureFixture[str], here: Path, monkeypatch: pytest.MonkeyPatch, target: str
 ) -> None:
-    monkeypatch.setattr(cli, "_load", not_loaded)
+    monkeypatch.setattr(MotionPipeline, "load", not_loaded)
     fails(capsys, "generate", "a person walks", "-o", target)
     assert list(here.iterdir()) == []
 
@@ -53,7 +53,7 @@ def test_a_target_that_cannot_be_written_is_refused_before_anything_is_loaded(
 def test_a_file_is_not_overwritten_unasked(
     capsys: pytest.CaptureFixture[str], here: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(cli, "_load", not_loaded)
+    monkeypatch.setattr(MotionPipeline, "load", not_loaded)
     (here / "x.npz").write_bytes(b"precious")
     assert "x.npz" in fails(capsys, "generate", "a person walks", "-o", "x.npz")
     assert (here / "x.npz").read_bytes() == b"precious"
@@ -63,7 +63,7 @@ def test_a_file_is_not_overwritten_unasked(
 def test_a_sentence_or_a_graph(
     capsys: pytest.CaptureFixture[str], here: Path, monkeypatch: pytest.MonkeyPatch, arguments: list[str]
 ) -> None:
-    monkeypatch.setattr(cli, "_load", not_loaded)
+    monkeypatch.setattr(MotionPipeline, "load", not_loaded)
     assert "either a sentence or --graph" in fails(capsys, "generate", *arguments, "-o", "x.npz")
     assert list(here.iterdir()) == []
 
@@ -84,7 +84,7 @@ GRAPHS = {
 def test_a_broken_graph_is_named(
     capsys: pytest.CaptureFixture[str], here: Path, monkeypatch: pytest.MonkeyPatch, kind: str
 ) -> None:
-    monkeypatch.setattr(cli, "_load", not_loaded)
+    monkeypatch.setattr(MotionPipeline, "load", not_loaded)
     (here / "g.json").write_bytes(GRAPHS[kind])
     assert "g.json" in fails(capsys, "generate", "--graph", "g.json", "-o", "x.npz")
     assert [path.name for path in here.iterdir()] == ["g.json"]
@@ -94,7 +94,7 @@ def test_a_broken_graph_is_named(
 def test_a_graph_that_is_no_file(
     capsys: pytest.CaptureFixture[str], here: Path, monkeypatch: pytest.MonkeyPatch, name: str
 ) -> None:
-    monkeypatch.setattr(cli, "_load", not_loaded)
+    monkeypatch.setattr(MotionPipeline, "load", not_loaded)
     fails(capsys, "generate", "--graph", name, "-o", "x.npz")
     assert list(here.iterdir()) == []
 
@@ -118,7 +118,7 @@ def test_a_bad_line_is_named_before_anything_is_loaded(
     content: bytes,
     message: str,
 ) -> None:
-    monkeypatch.setattr(cli, "_load", not_loaded)
+    monkeypatch.setattr(MotionPipeline, "load", not_loaded)
     (here / "captions.jsonl").write_bytes(content)
     assert message in fails(capsys, "parse", "--jsonl", "captions.jsonl")
 
@@ -126,13 +126,13 @@ def test_a_bad_line_is_named_before_anything_is_loaded(
 def test_a_line_that_does_not_parse_is_named(
     capsys: pytest.CaptureFixture[str], here: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(cli, "_load", lambda *_: Parser())
+    monkeypatch.setattr(MotionPipeline, "load", lambda *_, **__: Parser())
     (here / "captions.jsonl").write_text('{"caption": "  "}\n')
     assert "captions.jsonl, line 1: the text is blank" in fails(capsys, "parse", "--jsonl", "captions.jsonl")
 
 
 def test_parse_prints_one_object(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(cli, "_load", lambda *_: Parser())
+    monkeypatch.setattr(MotionPipeline, "load", lambda *_, **__: Parser())
     assert cli.main(["parse", "a person waves"]) == 0
     assert json.loads(capsys.readouterr().out) == whole("a person waves").to_dict()
 
@@ -141,7 +141,7 @@ def test_parse_prints_one_object_per_line(
     capsys: pytest.CaptureFixture[str], here: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """U+2028 ends a line for `str.splitlines`, but not in JSON lines; a BOM is no part of a caption."""
-    monkeypatch.setattr(cli, "_load", lambda *_: Parser())
+    monkeypatch.setattr(MotionPipeline, "load", lambda *_, **__: Parser())
     captions = ["a person walks", "a\u2028b", "über 😀", "{curly}"]
     lines = [
         captions[0],

@@ -14,7 +14,7 @@ from cli_runs import Parser, fails
 from synthetic_bundle import bundle_files
 
 import kinegraph
-from kinegraph import cli
+from kinegraph import MotionPipeline, cli
 from kinegraph.bundle import DEFAULT_BUNDLE
 from kinegraph.errors import Cancelled, InvalidInputError
 
@@ -62,24 +62,24 @@ def test_verify_lists_every_file(capsys: pytest.CaptureFixture[str], bundle: Pat
 def test_an_interrupt_is_130(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, stop: type[BaseException]
 ) -> None:
-    def interrupted(*_: object) -> None:
+    def interrupted(*_: object, **__: object) -> None:
         raise stop
 
-    monkeypatch.setattr(cli, "_load", interrupted)
+    monkeypatch.setattr(MotionPipeline, "load", interrupted)
     assert cli.main(["parse", "a person walks"]) == 130
     assert capsys.readouterr().err == "kinegraph: cancelled\n"
 
 
 def test_messages_stay_on_one_line(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
-    def broken(*_: object) -> None:
+    def broken(*_: object, **__: object) -> None:
         raise InvalidInputError("first\nsecond\r\n\tthird")
 
-    monkeypatch.setattr(cli, "_load", broken)
+    monkeypatch.setattr(MotionPipeline, "load", broken)
     assert fails(capsys, "parse", "a person walks") == "kinegraph: error: first second third\n"
 
 
 def test_a_terminal_without_unicode_gets_escapes(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(cli, "_load", lambda *_: Parser())
+    monkeypatch.setattr(MotionPipeline, "load", lambda *_, **__: Parser())
     raw = io.BytesIO()
     monkeypatch.setattr(sys, "stdout", io.TextIOWrapper(raw, encoding="ascii"))
     assert cli.main(["parse", "--json", "über 😀"]) == 0

@@ -334,7 +334,7 @@ def test_nothing_is_written_and_nothing_asked_of_the_network(server: Playing) ->
 def test_a_port_that_cannot_be_had_is_said_before_anything_is_loaded(
     server: Playing, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(cli, "_load", lambda *_: pytest.fail("loaded"))
+    monkeypatch.setattr(MotionPipeline, "load", lambda *_, **__: pytest.fail("loaded"))
     assert "choose another with --port" in fails(capsys, "play", "--no-browser", "--port", str(server.port))
     assert "port must be 0 to 65535" in fails(capsys, "play", "--no-browser", "--port", "70000")
 
