@@ -181,7 +181,8 @@ def pipeline_difference(folder: Path, trained: Trained, own: TrainedVae, bones: 
         request = Request(
             clip.frames, initial_noise(seed, plans), sampling.steps, sampling.guidance, sampling.guidance_base
         )
-        expected = with_bone_lengths(torch_joints(trained, pipe._arrays(graph), request, own.mean, own.std), bones)
+        expected = torch_joints(trained, pipe._encoders.arrays(graph), request, own.mean, own.std)
+        expected = with_bone_lengths(expected, bones)
         distances.append(np.linalg.norm(clip.joints - expected, axis=-1).mean() * 1000.0)
     return float(np.mean(distances))
 

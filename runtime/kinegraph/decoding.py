@@ -1,23 +1,51 @@
-"""From the finest latent to joints in metres."""
+"""From a latent to joints in metres, and to clips."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 import onnxruntime
 from numpy.typing import NDArray
 
+from kinegraph.contract import LEVELS
 from kinegraph.errors import NonFiniteError
 from kinegraph.manifest import Manifest
 from kinegraph.motion.bones import with_bone_lengths
+from kinegraph.motion.clip import Clip
 from kinegraph.motion.features import joints_from_features
+from kinegraph.motion.feet import planted_feet
 from kinegraph.motion.humanml3d import joints_from_humanml3d
+from kinegraph.options import GenerateOptions
+from kinegraph.sessions import Sessions
 
 FloatArray = NDArray[np.float32]
 
 _TO_JOINTS: Final = {"joints-137": joints_from_features, "humanml3d-263": joints_from_humanml3d}
+
+
+@dataclass(frozen=True)
+class Decoders:
+    """From the latent of a level to clips."""
+
+    sessions: Sessions
+    manifest: Manifest
+    bones: FloatArray | None
+    """(21,) metres, as in `decode`."""
+
+    def clips(
+        self, latent: FloatArray, wishes: Sequence[GenerateOptions], captions: Sequence[str], level: str = LEVELS[-1]
+    ) -> list[Clip]:
+        """Latents (B, C, z) of a level as B clips, their feet held where that is wished for."""
+        frames, fps = [each.frames for each in wishes], self.manifest.fps
+        motions = decode(self.sessions.decoder_of(level), self.manifest, self.bones, latent, frames)
+        bundle = f"{self.manifest.name} {self.manifest.version}"
+        return [
+            Clip(planted_feet(joints, fps) if each.foot_fix else joints, fps, each.seed, caption, bundle)
+            for joints, each, caption in zip(motions, wishes, captions, strict=True)
+        ]
 
 
 def decode(

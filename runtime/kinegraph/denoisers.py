@@ -22,6 +22,7 @@ from kinegraph.diffusion.sampler import (
     coarse_to_fine,
     initial_noise,
 )
+from kinegraph.errors import InvalidInputError
 from kinegraph.manifest import Manifest
 from kinegraph.network import RowNetwork, modulations, row_network
 from kinegraph.options import GenerateOptions
@@ -141,3 +142,12 @@ class Denoisers:
         if gamma is not None:
             context, step = sessions.context_agd[name](), sessions.step_agd[name]()
         return row_network(context, step, known, coarse, wiring, modulation, gamma)
+
+
+def check_step_sizes(sessions: Sessions, manifest: Manifest, agd: tuple[float, float]) -> None:
+    """Raises InvalidInputError where adaptive gradient descent is asked for and the bundle has no graphs for it."""
+    if any(agd) and not sessions.step_agd:
+        raise InvalidInputError(
+            f"bundle {manifest.name} {manifest.version} has no graphs for adaptive gradient descent: "
+            "leave agd out, or export the bundle again with this kinegraph"
+        )

@@ -16,26 +16,21 @@ from numpy.typing import NDArray
 
 from kinegraph.bundle import read_bundle
 from kinegraph.concepts import Composing, Concept, checked_composing
-from kinegraph.conditions import Conditions, GraphArrays, conditions, padded, repeated
-from kinegraph.contract import LEVELS
-from kinegraph.decoding import decode, finite
-from kinegraph.denoisers import Denoisers
+from kinegraph.conditions import Conditions, repeated
+from kinegraph.decoding import Decoders
+from kinegraph.denoisers import Denoisers, check_step_sizes
 from kinegraph.diffusion.composition import Mixture
 from kinegraph.diffusion.sampler import OnStep, part_of
-from kinegraph.duration import with_own_length
-from kinegraph.edits import edge_terms
-from kinegraph.errors import InvalidInputError
+from kinegraph.encoding import Encoders
 from kinegraph.graph import SemanticGraph
 from kinegraph.limits import MAX_PARTS, MAX_TAKES
 from kinegraph.manifest import Manifest
 from kinegraph.motion.clip import Clip
-from kinegraph.motion.feet import planted_feet
 from kinegraph.motion.joining import joined
 from kinegraph.options import GenerateOptions, Guidance, Steps, batch_seeds, generate_options, part_lengths
 from kinegraph.sessions import Sessions, open_sessions
-from kinegraph.tables import DURATION, bones_of
+from kinegraph.tables import bones_of
 from kinegraph.text.parser import LazyParser, check_caption
-from kinegraph.text.states import caption_arrays
 from kinegraph.text.tokens import CaptionTokenizer
 
 FloatArray = NDArray[np.float32]
@@ -131,18 +126,14 @@ class MotionPipeline:
         options = generate_options(
             self.manifest, seconds=seconds, seed=seed, steps=steps, guidance=guidance, foot_fix=foot_fix
         )
-        graph = text if isinstance(text, SemanticGraph) else self.parse(text)
-        terms = edge_terms(graph)
-        arrays = [self._arrays(each) for each, _ in terms]
-        if seconds is None:
-            options = with_own_length(options, self._tables.get(DURATION), self.manifest, arrays[:1])
-        encoded, weights = self._encode(arrays), tuple(weight for _, weight in terms)
+        graph = self._graph(text)
+        encoded, mixture, options = self._encoders.weighted(graph, options, seconds is None)
         denoisers = self._denoisers(options, graph.caption, on_level)
-        if weights == (1.0,):
+        if mixture == Mixture((1.0,)):
             latent = denoisers.guided(encoded, [options], on_step)
         else:
-            latent = denoisers.composed(encoded, Mixture(weights), options, on_step)
-        return replace(self._clips(latent, [options], [graph.caption])[0], graph=graph)
+            latent = denoisers.composed(encoded, mixture, options, on_step)
+        return replace(self._decoders.clips(latent, [options], [graph.caption])[0], graph=graph)
 
     def takes(
         self,
@@ -190,19 +181,12 @@ class MotionPipeline:
         wishes: dict[str, Any] = {"seed": seed, "steps": steps, "guidance": guidance, "foot_fix": foot_fix}
         options = [generate_options(self.manifest, seconds=length, **wishes) for length in lengths]
         seeds = batch_seeds(options[0].seed, len(options), takes)
-        graphs = [text if isinstance(text, SemanticGraph) else self.parse(text) for text in texts]
-        if any(node.weight != 1 for graph in graphs for node in graph.nodes):
-            raise InvalidInputError("clips that share one run cannot weigh edges; make weighted clips one by one")
-        arrays = [self._arrays(graph) for graph in graphs]
-        own = [
-            with_own_length(each, self._tables.get(DURATION), self.manifest, [known]) if length is None else each
-            for each, known, length in zip(options, arrays, lengths, strict=True)
-        ]
+        graphs = [self._graph(text) for text in texts]
+        encoded, own = self._encoders.side_by_side(graphs, options, [length is None for length in lengths])
         each_clip = [replace(own[place // takes], seed=value) for place, value in enumerate(seeds)]
-        encoded = repeated(self._encode(arrays), takes)
-        latent = Denoisers(self._sessions, self.manifest).guided(encoded, each_clip, on_step)
+        latent = Denoisers(self._sessions, self.manifest).guided(repeated(encoded, takes), each_clip, on_step)
         own_graphs = [graph for graph in graphs for _ in range(takes)]
-        clips = self._clips(latent, each_clip, [graph.caption for graph in own_graphs])
+        clips = self._decoders.clips(latent, each_clip, [graph.caption for graph in own_graphs])
         return [replace(clip, graph=graph) for clip, graph in zip(clips, own_graphs, strict=True)]
 
     def sequence(
@@ -230,7 +214,7 @@ class MotionPipeline:
         lengths = part_lengths(texts, seconds, MAX_PARTS, "a sequence")
         wishes: dict[str, Any] = {"steps": steps, "guidance": guidance, "foot_fix": foot_fix}
         options = [generate_options(self.manifest, seconds=length, seed=seed, **wishes) for length in lengths]
-        graphs = [text if isinstance(text, SemanticGraph) else self.parse(text) for text in texts]
+        graphs = [self._graph(text) for text in texts]
         first = options[0].seed
         clips = [
             self.generate(
@@ -284,51 +268,32 @@ class MotionPipeline:
         encoded, mixture, options = self._mixed(what, options, seconds is None)
         caption = what.joint.caption if isinstance(what.joint, SemanticGraph) else what.joint
         latent = self._denoisers(options, caption, on_level).composed(encoded, mixture, options, on_step)
-        return self._clips(latent, [options], [caption])[0]
+        return self._decoders.clips(latent, [options], [caption])[0]
 
     def _mixed(
         self, what: Composing, options: GenerateOptions, own_length: bool
     ) -> tuple[Conditions, Mixture, GenerateOptions]:
         """What is composed, encoded; `own_length` asks the concepts for the length."""
-        if any(what.agd) and not self._sessions.step_agd:
-            raise InvalidInputError(
-                f"bundle {self.manifest.name} {self.manifest.version} has no graphs for adaptive gradient descent: "
-                "leave agd out, or export the bundle again with this kinegraph"
-            )
-        graphs = [text if isinstance(text, SemanticGraph) else self.parse(text) for text, _ in what.parts]
-        terms = [edge_terms(graph) for graph in graphs]
-        arrays = [[self._arrays(term) for term, _ in own] for own in terms]
-        if own_length:
-            wanted = [own[0] for own, concept in zip(arrays, what.concepts, strict=False) if concept.weight > 0]
-            options = with_own_length(options, self._tables.get(DURATION), self.manifest, wanted)
-        encoded = self._encode([each for own in arrays for each in own])
-        return encoded, what.mixture([[part for _, part in own] for own in terms]), options
+        check_step_sizes(self._sessions, self.manifest, what.agd)
+        graphs = [self._graph(text) for text, _ in what.parts]
+        return self._encoders.mixed(what, graphs, options, own_length)
+
+    @property
+    def _encoders(self) -> Encoders:
+        return Encoders(self._sessions, self._tokenizer, self.manifest, self._tables)
+
+    @property
+    def _decoders(self) -> Decoders:
+        return Decoders(self._sessions, self.manifest, bones_of(self._tables))
 
     def _denoisers(self, options: GenerateOptions, caption: str, on_level: OnLevel | None) -> Denoisers:
         """The diffusion models, which tell `on_level` of every level that can be decoded."""
 
         def show(level: str, latent: FloatArray) -> None:
             if on_level is not None and level in self._sessions.coarse_decoders:
-                on_level(level, self._clips(latent, [options], [caption], level)[0])
+                on_level(level, self._decoders.clips(latent, [options], [caption], level)[0])
 
         return Denoisers(self._sessions, self.manifest, show)
 
-    def _clips(
-        self, latent: FloatArray, wishes: Sequence[GenerateOptions], captions: Sequence[str], level: str = LEVELS[-1]
-    ) -> list[Clip]:
-        """Latents (B, C, z) of a level as B clips."""
-        frames, fps = [each.frames for each in wishes], self.manifest.fps
-        motions = decode(self._sessions.decoder_of(level), self.manifest, bones_of(self._tables), latent, frames)
-        bundle = f"{self.manifest.name} {self.manifest.version}"
-        return [
-            Clip(planted_feet(joints, fps) if each.foot_fix else joints, fps, each.seed, caption, bundle)
-            for joints, each, caption in zip(motions, wishes, captions, strict=True)
-        ]
-
-    def _arrays(self, graph: SemanticGraph) -> GraphArrays:
-        return caption_arrays(self._sessions.text_encoder, self._tokenizer, graph)
-
-    def _encode(self, arrays: Sequence[GraphArrays]) -> Conditions:
-        """Graph attention over a batch of graphs."""
-        (nodes,) = self._sessions.graph_encoder.run(["nodes_out"], padded(arrays))
-        return conditions(arrays, finite(nodes, "the graph encoder"))
+    def _graph(self, text: str | SemanticGraph) -> SemanticGraph:
+        return text if isinstance(text, SemanticGraph) else self.parse(text)

@@ -16,6 +16,7 @@ from kinegraph.bundle import DEFAULT_BUNDLE
 from kinegraph.cli_input import weighted
 from kinegraph.concepts import checked_concepts, checked_lambdas, joint_caption
 from kinegraph.diffusion.sampler import StepInfo
+from kinegraph.encoding import Encoders
 
 needs_default = pytest.mark.skipif(not (DEFAULT_BUNDLE / "manifest.json").is_file(), reason="no default bundle")
 pytest.importorskip("spacy")
@@ -102,7 +103,7 @@ def test_no_step_size_is_without_adaptive_gradient_descent(pipe: MotionPipeline)
 
 def test_a_bundle_without_its_graphs_says_so(pipe: MotionPipeline, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(pipe, "_sessions", dataclasses.replace(pipe._sessions, context_agd={}, step_agd={}))
-    monkeypatch.setattr(pipe, "_arrays", None)
+    monkeypatch.setattr(Encoders, "arrays", None)
     with pytest.raises(InvalidInputError, match=r"no graphs for adaptive gradient descent: leave agd out"):
         pipe.compose([WALK, WAVE], agd=(4e-4, 4e-4), **FEW)
 
@@ -195,7 +196,7 @@ def test_bad_input_is_refused_before_a_model_runs(
     def never(*_: object) -> None:
         raise AssertionError("a model ran")
 
-    monkeypatch.setattr(pipe, "_arrays", never)
+    monkeypatch.setattr(Encoders, "arrays", never)
     with pytest.raises(InvalidInputError, match=message):
         pipe.compose(concepts, **options)
 

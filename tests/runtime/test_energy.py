@@ -136,7 +136,7 @@ def test_a_map_follows_the_predictions_of_generate(pipe: MotionPipeline) -> None
     found = energy_maps(pipe, [WALK], **FEW)
     options = generate_options(pipe.manifest, **FEW)
     denoisers = Denoisers(pipe._sessions, pipe.manifest)
-    encoded = pipe._encode([pipe._arrays(pipe.parse(WALK))])
+    encoded = pipe._encoders.conditions([pipe._encoders.arrays(pipe.parse(WALK))])
     schedule, plans = pipe.manifest.schedule.noise, denoisers.plans(options)
     made: dict[str, Any] = {}
 

@@ -13,6 +13,7 @@ from motions import recorded, walk
 
 from kinegraph import Cancelled, InvalidInputError, MotionPipeline, cli
 from kinegraph.bundle import DEFAULT_BUNDLE
+from kinegraph.encoding import Encoders
 from kinegraph.motion.joining import best_join, joined
 from kinegraph.motion.skeleton import bone_lengths, facing_angle
 
@@ -115,7 +116,7 @@ def test_a_wrong_sequence_is_refused_before_a_model_runs(
     def never(*_: object) -> None:
         raise AssertionError("a model ran")
 
-    monkeypatch.setattr(pipe, "_arrays", never)
+    monkeypatch.setattr(Encoders, "arrays", never)
     with pytest.raises(InvalidInputError, match=message):
         pipe.sequence(texts, seconds=seconds, seed=1)
 

@@ -20,6 +20,7 @@ import kinegraph
 from kinegraph import MotionPipeline
 from kinegraph.diffusion.sampler import StepInfo
 from kinegraph.edits import with_weight
+from kinegraph.encoding import Encoders
 from kinegraph.errors import Cancelled, InvalidInputError
 
 RUNTIME = Path(kinegraph.__file__).resolve().parents[1]
@@ -128,7 +129,7 @@ def test_bad_input_is_refused_before_a_model_runs(
     def never(*_: object) -> None:
         raise AssertionError("a model ran")
 
-    monkeypatch.setattr(pipe, "_arrays", never)
+    monkeypatch.setattr(Encoders, "arrays", never)
     with pytest.raises(InvalidInputError):
         pipe.generate(text, **options)  # type: ignore[arg-type]
 
