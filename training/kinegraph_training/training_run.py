@@ -54,6 +54,22 @@ def optimiser(module: nn.Module, config: OptimiserConfig, precision: str) -> dic
     return {"optimizer": adam, "lr_scheduler": {"scheduler": schedule, "interval": "step"}}
 
 
+class LastCheckpoint(ModelCheckpoint):
+    """`last.ckpt`, every so many steps and after the last one, whatever ended the run."""
+
+    def __init__(self, folder: Path, every: int) -> None:
+        # Resuming from a checkpoint that was copied here must replace it too: no last-v1.ckpt beside it.
+        super().__init__(folder, save_last=True, save_top_k=0, every_n_train_steps=every, enable_version_counter=False)
+
+    def on_train_epoch_end(self, trainer: L.Trainer, pl_module: L.LightningModule) -> None:
+        super().on_train_epoch_end(trainer, pl_module)
+        if trainer.fit_loop.done and not trainer.fast_dev_run:
+            trainer.save_checkpoint(Path(self.dirpath) / f"{self.CHECKPOINT_NAME_LAST}{self.FILE_EXTENSION}")
+
+    def on_train_end(self, trainer: L.Trainer, pl_module: L.LightningModule) -> None:
+        """Too late to save: the average has taken the place of the live weights, from which a run goes on."""
+
+
 class Curves(L.Callback):
     """Joins the tables of all starts of a run into metrics.csv and draws it as curves.png, after each validation."""
 
@@ -131,7 +147,6 @@ def trainer(run: Path, config: OptimiserConfig, *, validate_every: int, lightnin
     # Lightning empties the folder of a table it opens, so each start gets its own
     starts = len(list((run / "curves").glob("start_*")))
     logger = CSVLogger(run, name="curves", version=f"start_{starts:03d}")
-    checkpoint = ModelCheckpoint(dirpath=run, save_last=True, save_top_k=0, every_n_train_steps=validate_every)
     options: dict[str, Any] = {
         "accelerator": "auto",
         "precision": fast_precision(),
@@ -142,7 +157,7 @@ def trainer(run: Path, config: OptimiserConfig, *, validate_every: int, lightnin
         "log_every_n_steps": 50,
         "num_sanity_val_steps": 0,
         "enable_model_summary": False,
-        "callbacks": [checkpoint, RampedEma(config.ema), Curves()],
+        "callbacks": [LastCheckpoint(run, validate_every), RampedEma(config.ema), Curves()],
         "logger": logger,
     }
     return L.Trainer(**(options | lightning))
