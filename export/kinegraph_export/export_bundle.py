@@ -201,17 +201,18 @@ def export_bundle(run: Path, assets: Path, card: Card, out: Path, precision: Pre
     """Export, validate, and put the bundle in place; a bundle that was there before is replaced.
 
     Raises:
+        OutputError: `out` is a folder of something else.
         InvalidInputError: a stage or a text asset is missing.
         ParityError: a graph or the whole pipeline differs from torch.
     """
+    if out.exists() and not (out / "manifest.json").is_file():
+        raise OutputError(f"{out} exists and is not a bundle; name another folder")
     trained, own = read_run(run)
     graphs, parity = export_graphs(trained, trained.hierarchy.config.text_width, len(own.mean), precision)
     measured = read_tables(run)
     files = read_assets(assets) | graphs
     files["tables.npz"] = table_file(measured)
     draft = manifest_of(card, trained, own, files, parity, precision)
-    if out.exists() and not (out / "manifest.json").is_file():
-        raise OutputError(f"{out} exists and is not a bundle; name another folder")
     with tempfile.TemporaryDirectory() as folder:
         staged = Path(folder) / "bundle"
         write_bundle(staged, draft, files)

@@ -1,98 +1,24 @@
-"""The whole path at the size of a toy: data -> three autoencoders -> denoisers -> bundle -> clip."""
+"""The stages of training at the size of a toy: data -> three autoencoders -> denoisers."""
 
 from __future__ import annotations
 
 import csv
-import json
 import shutil
-from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 
 torch = pytest.importorskip("torch")
 pytest.importorskip("lightning")
-pytest.importorskip("onnxscript")
 pytest.importorskip("spacy")
 
 from motions import walk  # noqa: E402
+from toy_run import ASSETS, stage, steps_of, write_walks  # noqa: E402
 
-import kinegraph  # noqa: E402
-from kinegraph import Concept, MotionPipeline  # noqa: E402
-from kinegraph.concepts import METHODS  # noqa: E402
 from kinegraph.contract import LEVELS  # noqa: E402
-from kinegraph.diffusion.sampler import LevelPlan, initial_noise  # noqa: E402
-from kinegraph.edits import with_weight, without  # noqa: E402
-from kinegraph.errors import BundleError, InvalidInputError  # noqa: E402
-from kinegraph.manifest import Licence  # noqa: E402
-from kinegraph.motion.bones import with_bone_lengths  # noqa: E402
-from kinegraph.tables import bones_of  # noqa: E402
-from kinegraph_export.checkpoints import read_run  # noqa: E402
-from kinegraph_export.export_bundle import Card, export_bundle  # noqa: E402
-from kinegraph_export.pipeline_parity import Request, torch_joints  # noqa: E402
-from kinegraph_export.recover import coarse_statistics, recover  # noqa: E402
 from kinegraph_training import train_denoisers, train_vae  # noqa: E402
-from kinegraph_training.config import read_preset  # noqa: E402
 from kinegraph_training.data_writer import PreparedClip, write_data  # noqa: E402
-from kinegraph_training.latents import read_vae  # noqa: E402
-
-WEIGHTS = Path(__file__).parents[2] / "weights" / "edge"
-ASSETS = Path(kinegraph.__file__).parent / "bundles" / "default"
-pytestmark = [
-    pytest.mark.skipif(not (ASSETS / "parser.bin").is_file(), reason="no default bundle to take the text files from"),
-    pytest.mark.timeout(600),
-]
-
-CARD = Card(
-    name="toy",
-    version="0",
-    licence=Licence(*["public domain"] * 5),
-    training_data="made by the tests",
-    scope={"actions": "walk"},
-    training={"preset": "tiny"},
-    steps={"motion": 2, "action": 2, "specific": 3},
-    guidance={"motion": 2.0, "action": 2.0, "specific": 2.0},
-    guidance_base="coarse",
-    seconds=2.0,
-    quality={},
-)
-
-
-def write_walks(folder: Path) -> None:
-    """Sixteen clips of a stick figure; their captions name the side they turn to."""
-    clips = []
-    for number in range(16):
-        side = "left" if number % 2 else "right"
-        turning = 0.02 if number % 2 else -0.02
-        joints = walk(40 + 4 * number, turning=turning, speed=0.03 + 0.002 * number)
-        split = "val" if number in (4, 5) else "train"
-        clips.append(PreparedClip(f"walk{number}", joints, (f"a person walks to the {side}",), "made", split))
-    write_data(folder, clips, 20)
-
-
-def stage(module: object, folder: Path, *more: str) -> None:
-    words = ["--data", str(folder / "data"), "--run", str(folder / "run"), "--preset", "tiny", "--threads", "1"]
-    flags = ["--enable_progress_bar", "0", "--accelerator", "cpu"]
-    module.main([*words, *more, *flags])  # type: ignore[attr-defined]
-
-
-def steps_of(checkpoint: Path) -> int:
-    return int(torch.load(checkpoint, weights_only=True, map_location="cpu")["global_step"])
-
-
-@pytest.fixture(scope="module")
-def trained(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("toy")
-    write_walks(folder / "data")
-    for level in ("motion", "action", "specific"):
-        stage(train_vae, folder, "--level", level)
-    # stopped half-way, as a kill would, and started again by the same command
-    stage(train_denoisers, folder, "--assets", str(ASSETS), "--max_steps", "3", "--val_check_interval", "3")
-    assert steps_of(folder / "run" / "denoisers" / "last.ckpt") == 3
-    stage(train_denoisers, folder, "--assets", str(ASSETS))
-    return folder
 
 
 @pytest.mark.parametrize("precision", ["32-true", "bf16-mixed"])
@@ -118,142 +44,6 @@ def test_curves_are_kept_as_a_table_and_a_picture(trained: Path) -> None:
         assert [int(row["step"]) for row in rows] == sorted(int(row["step"]) for row in rows)
         assert name != "denoisers" or {2, 5} <= {int(row["step"]) for row in rows}
         assert (curves / "curves.png").read_bytes()[:4] == b"\x89PNG"
-
-
-@pytest.fixture(scope="module")
-def vaes(trained: Path) -> Path:
-    folder = trained / "vaes"
-    folder.mkdir()
-    for level in LEVELS:
-        shutil.copyfile(trained / "run" / f"vae_{level}" / "last.ckpt", folder / f"vae_{level}.ckpt")
-    return folder
-
-
-@pytest.fixture(scope="module")
-def bundle(trained: Path) -> Path:
-    export_bundle(trained / "run", ASSETS, CARD, trained / "bundle", "fp32")
-    return trained / "bundle"
-
-
-def test_the_bundle_makes_a_clip_and_states_its_parity(bundle: Path) -> None:
-    pipe = MotionPipeline.load(bundle, threads=1)
-    clip = pipe.generate("a person walks to the left", seed=1)
-    assert clip.joints.shape[1:] == (22, 3) and np.isfinite(clip.joints).all()
-    # The sentence decides the length: the toy's clips have 40 to 100 frames.
-    assert 35 <= clip.frames <= 110
-    assert pipe.generate("a person walks to the left", seconds=2, seed=1).frames == 40
-    parity = pipe.manifest.parity
-    assert parity["pipeline_mm"] <= 1.0
-    graphs = {name.removesuffix(".onnx") for name in pipe.manifest.files if name.endswith(".onnx")} - {"text_encoder"}
-    assert graphs <= set(parity) and max(parity[name] for name in graphs) <= 1e-4
-
-
-def test_the_runtime_moves_conditions_as_torch_does(trained: Path, bundle: Path) -> None:
-    pipe = MotionPipeline.load(bundle, threads=1)
-    graph, agd, sampling = pipe.parse("a person walks to the left"), (0.6, 0.4), pipe.manifest.defaults
-    how: dict[str, Any] = {"seconds": 2, "seed": 3, "foot_fix": False}
-    moved = pipe.compose([graph], method="latent", agd=agd, **how).joints
-    run, own = read_run(trained / "run")
-    plans = [LevelPlan(name, spec.tokens, spec.latent_width, 1) for name, spec in pipe.manifest.levels.items()]
-    noise = initial_noise(3, plans)
-    request = Request(len(moved), noise, sampling.steps, sampling.guidance, sampling.guidance_base, agd)
-    expected = torch_joints(run, pipe._arrays(graph), request, own.mean, own.std)
-    np.testing.assert_allclose(moved, with_bone_lengths(expected, bones_of(pipe._tables)), atol=1e-4)
-    assert np.abs(moved - pipe.generate(graph, **how).joints).max() > 1e-3
-    # One concept of weight 1 is itself by every method, and two in either order are the same motion.
-    np.testing.assert_allclose(pipe.compose([graph], agd=agd, **how).joints, moved, atol=1e-4)
-    concepts = [Concept("a person walks to the left"), Concept("a person turns right", 0.7)]
-    one, other = (pipe.compose(each, text="a person walks", agd=agd, **how) for each in (concepts, concepts[::-1]))
-    np.testing.assert_allclose(one.joints, other.joints, atol=1e-4)
-
-
-def test_the_coarse_decoders_are_those_of_their_autoencoders(trained: Path, bundle: Path) -> None:
-    pipe = MotionPipeline.load(bundle, threads=1)
-    weights = torch.load(trained / "run" / "denoisers" / "last.ckpt", weights_only=True)["state_dict"]
-    rng = np.random.default_rng(0)
-    mask = np.ones((2, 48), dtype=np.float32)
-    for level in ("motion", "action"):
-        own = read_vae(trained / "run" / f"vae_{level}" / "last.ckpt")
-        spec = pipe.manifest.levels[level]
-        latent = rng.standard_normal((2, spec.tokens, spec.latent_width)).astype(np.float32)
-        decoder = pipe._sessions.coarse_decoders[level]()
-        (found,) = decoder.run(["features"], {"latent": latent, "frame_mask": mask})
-        plain = torch.from_numpy(latent) * weights[f"{level}_scale"] + weights[f"{level}_centre"]
-        with torch.no_grad():
-            features = own.vae.decode(plain, torch.from_numpy(mask)).numpy()
-        # in metres and radians, each under its own normalisation
-        mean, std = (np.array(part) for part in (pipe.manifest.features.mean, pipe.manifest.features.std))
-        np.testing.assert_allclose(found * std + mean, features * own.std + own.mean, atol=5e-3)
-    shown: list[str] = []
-    clip = pipe.generate("a person walks", seconds=2, seed=1, on_level=lambda name, coarse: shown.append(name))
-    assert shown == ["motion", "action"] and clip.frames == 40
-
-
-def test_the_same_run_gives_the_same_bundle(trained: Path, bundle: Path) -> None:
-    # With the other base of guidance, so that the whole pipeline is held against torch for both.
-    export_bundle(trained / "run", ASSETS, replace(CARD, guidance_base="empty"), trained / "again", "fp32")
-    first, again = (json.loads((folder / "manifest.json").read_bytes()) for folder in (bundle, trained / "again"))
-    assert first["files"] == again["files"]
-
-
-def test_identities_hold_to_rounding_in_float32(bundle: Path) -> None:
-    pipe = MotionPipeline.load(bundle, threads=1)
-    walk, turn = "a person walks to the left", "someone turns to the right"
-    few: dict[str, Any] = {"seconds": 2, "foot_fix": False}
-    plain = pipe.generate(walk, seed=1, **few).joints
-    clips = pipe.batch([walk, turn], takes=2, seconds=[2, 3], seed=1, foot_fix=False)
-    alone = [pipe.generate(clip.text, seed=clip.seed, seconds=clip.duration, foot_fix=False) for clip in clips]
-    for clip, own in zip(clips, alone, strict=True):
-        # Padding changes roundings in the text encoder, whose int8 blocks can then fall on the other side.
-        np.testing.assert_allclose(clip.joints, own.joints, atol=1e-3)
-    pairs = [(pipe.compose([walk], method=how, seed=1, **few).joints, plain) for how in METHODS]
-    both = [Concept(walk), Concept(turn, 0.7)]
-    latent, semantic = (pipe.compose(both, method=how, seed=1, **few).joints for how in METHODS[:2])
-    pairs.append((pipe.compose(both[::-1], method="latent", seed=1, **few).joints, latent))
-    pairs.append((pipe.compose(both, lambdas=(1.0, 0.0, 0.0), seed=1, **few).joints, latent))
-    pairs.append((pipe.compose(both, lambdas=(0.0, 1.0, 0.0), seed=1, **few).joints, semantic))
-    graph = pipe.parse(walk)
-    gone = pipe.generate(without(graph, "to the left"), seed=1, **few).joints
-    pairs.append((pipe.generate(with_weight(graph, "to the left", 0.0), seed=1, **few).joints, gone))
-    for one, other in pairs:
-        np.testing.assert_allclose(one, other, atol=1e-4)
-    assert np.abs(latent - semantic).max() > 1e-3
-
-
-def test_an_int8_bundle_is_smaller_and_near(trained: Path, bundle: Path, vaes: Path) -> None:
-    manifest = export_bundle(trained / "run", ASSETS, CARD, trained / "int8", "int8")
-    assert manifest.precision == "int8" and "int8" in manifest.provenance["numbers"]
-    assert {f"int8_step_{level}" for level in LEVELS} <= manifest.parity.keys()
-    sizes = [sum(path.stat().st_size for path in folder.glob("step_*")) for folder in (trained / "int8", bundle)]
-    assert sizes[0] < sizes[1]
-    clips = [
-        MotionPipeline.load(folder, threads=1).generate("a person walks to the left", seconds=2, seed=1).joints
-        for folder in (trained / "int8", bundle)
-    ]
-    assert 1e-6 < np.linalg.norm(clips[0] - clips[1], axis=-1).mean() < 0.1
-    recover(trained / "int8", "tiny", vaes, trained / "recovered_int8")
-    own, back = (
-        torch.load(trained / run / "denoisers" / "last.ckpt", weights_only=True)["state_dict"]
-        for run in ("run", "recovered_int8")
-    )
-    for name in [name for name in own if name.startswith("hierarchy.")]:
-        # an int8 number is off by half a step of the largest weight's 127
-        assert (own[name] - back[name]).abs().max() <= own[name].abs().max() / 200, name
-
-
-def test_a_run_recovered_from_a_bundle_exports_the_same_graphs(trained: Path, bundle: Path, vaes: Path) -> None:
-    recover(bundle, "tiny", vaes, trained / "recovered")
-    export_bundle(trained / "recovered", ASSETS, CARD, trained / "third", "fp32")
-    files = json.loads((bundle / "manifest.json").read_bytes())["files"]
-    assert json.loads((trained / "third" / "manifest.json").read_bytes())["files"] == files
-    # of a bundle without coarse decoders, the data tell how their latents were standardised
-    weights = torch.load(trained / "run" / "denoisers" / "last.ckpt", weights_only=True)["state_dict"]
-    measured = coarse_statistics(vaes, trained / "data", None, read_preset("tiny"))
-    assert set(measured) == {f"{level}_{name}" for level in LEVELS[:-1] for name in ("centre", "scale")}
-    for name, value in measured.items():
-        np.testing.assert_allclose(value, weights[name], atol=1e-5)
-    with pytest.raises(InvalidInputError, match="is not what this preset"):
-        recover(bundle, "edge", WEIGHTS, trained / "wrong")
 
 
 def test_denoisers_start_from_the_weights_of_others(trained: Path, tmp_path: Path) -> None:
@@ -285,17 +75,3 @@ def test_denoisers_train_on_further_folders(trained: Path, tmp_path: Path) -> No
     with np.load(tmp_path / "run" / "captions.npz", allow_pickle=False) as known:
         captions = known["captions"].tolist()
     assert {f"a person walks and waves the {side} hand" for side in ("left", "right")} <= set(captions)
-
-
-def test_other_folders_are_not_overwritten(trained: Path) -> None:
-    mine = trained / "mine"
-    mine.mkdir()
-    (mine / "thesis.txt").write_text("four years")
-    with pytest.raises(kinegraph.KinegraphError, match="not a bundle"):
-        export_bundle(trained / "run", ASSETS, CARD, mine)
-    assert (mine / "thesis.txt").read_text() == "four years"
-
-
-def test_a_missing_stage_is_named(tmp_path: Path) -> None:
-    with pytest.raises((InvalidInputError, BundleError), match="train that stage first"):
-        export_bundle(tmp_path, ASSETS, CARD, tmp_path / "bundle")

@@ -1,0 +1,222 @@
+"""A toy's run as a bundle, and the bundle as a run again: what is exported is what was trained."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+torch = pytest.importorskip("torch")
+pytest.importorskip("lightning")
+pytest.importorskip("onnxscript")
+pytest.importorskip("spacy")
+
+from toy_run import ASSETS  # noqa: E402
+from tracing import Traces, traced_once  # noqa: E402
+
+import kinegraph  # noqa: E402
+from kinegraph import Concept, MotionPipeline  # noqa: E402
+from kinegraph.concepts import METHODS  # noqa: E402
+from kinegraph.contract import LEVELS  # noqa: E402
+from kinegraph.diffusion.sampler import LevelPlan, initial_noise  # noqa: E402
+from kinegraph.edits import with_weight, without  # noqa: E402
+from kinegraph.errors import BundleError, InvalidInputError  # noqa: E402
+from kinegraph.manifest import Licence  # noqa: E402
+from kinegraph.motion.bones import with_bone_lengths  # noqa: E402
+from kinegraph.tables import bones_of  # noqa: E402
+from kinegraph_export.checkpoints import read_run  # noqa: E402
+from kinegraph_export.export_bundle import Card, export_bundle  # noqa: E402
+from kinegraph_export.pipeline_parity import Request, torch_joints  # noqa: E402
+from kinegraph_export.recover import coarse_statistics, recover  # noqa: E402
+from kinegraph_training.config import read_preset  # noqa: E402
+from kinegraph_training.latents import read_vae  # noqa: E402
+
+WEIGHTS = Path(__file__).parents[2] / "weights" / "edge"
+pytestmark = pytest.mark.timeout(600)
+
+CARD = Card(
+    name="toy",
+    version="0",
+    licence=Licence(*["public domain"] * 5),
+    training_data="made by the tests",
+    scope={"actions": "walk"},
+    training={"preset": "tiny"},
+    steps={"motion": 2, "action": 2, "specific": 3},
+    guidance={"motion": 2.0, "action": 2.0, "specific": 2.0},
+    guidance_base="coarse",
+    seconds=2.0,
+    quality={},
+)
+
+
+@pytest.fixture(scope="module")
+def vaes(trained: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("vaes")
+    for level in LEVELS:
+        shutil.copyfile(trained / "run" / f"vae_{level}" / "last.ckpt", folder / f"vae_{level}.ckpt")
+    return folder
+
+
+@pytest.fixture(scope="module", autouse=True)
+def traces() -> Iterator[Traces]:
+    with traced_once() as found:
+        yield found
+
+
+@pytest.fixture(scope="module")
+def bundle(trained: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("exported") / "bundle"
+    export_bundle(trained / "run", ASSETS, CARD, folder, "fp32")
+    return folder
+
+
+def test_the_bundle_makes_a_clip_and_states_its_parity(bundle: Path) -> None:
+    pipe = MotionPipeline.load(bundle, threads=1)
+    clip = pipe.generate("a person walks to the left", seed=1)
+    assert clip.joints.shape[1:] == (22, 3) and np.isfinite(clip.joints).all()
+    # The sentence decides the length: the toy's clips have 40 to 100 frames.
+    assert 35 <= clip.frames <= 110
+    assert pipe.generate("a person walks to the left", seconds=2, seed=1).frames == 40
+    parity = pipe.manifest.parity
+    assert parity["pipeline_mm"] <= 1.0
+    graphs = {name.removesuffix(".onnx") for name in pipe.manifest.files if name.endswith(".onnx")} - {"text_encoder"}
+    assert graphs <= set(parity) and max(parity[name] for name in graphs) <= 1e-4
+
+
+def test_the_runtime_moves_conditions_as_torch_does(trained: Path, bundle: Path) -> None:
+    pipe = MotionPipeline.load(bundle, threads=1)
+    graph, agd, sampling = pipe.parse("a person walks to the left"), (0.6, 0.4), pipe.manifest.defaults
+    how: dict[str, Any] = {"seconds": 2, "seed": 3, "foot_fix": False}
+    moved = pipe.compose([graph], method="latent", agd=agd, **how).joints
+    run, own = read_run(trained / "run")
+    plans = [LevelPlan(name, spec.tokens, spec.latent_width, 1) for name, spec in pipe.manifest.levels.items()]
+    noise = initial_noise(3, plans)
+    request = Request(len(moved), noise, sampling.steps, sampling.guidance, sampling.guidance_base, agd)
+    expected = torch_joints(run, pipe._encoders.arrays(graph), request, own.mean, own.std)
+    np.testing.assert_allclose(moved, with_bone_lengths(expected, bones_of(pipe._tables)), atol=1e-4)
+    assert np.abs(moved - pipe.generate(graph, **how).joints).max() > 1e-3
+    # One concept of weight 1 is itself by every method, and two in either order are the same motion.
+    np.testing.assert_allclose(pipe.compose([graph], agd=agd, **how).joints, moved, atol=1e-4)
+    concepts = [Concept("a person walks to the left"), Concept("a person turns right", 0.7)]
+    one, other = (pipe.compose(each, text="a person walks", agd=agd, **how) for each in (concepts, concepts[::-1]))
+    np.testing.assert_allclose(one.joints, other.joints, atol=1e-4)
+
+
+def test_the_coarse_decoders_are_those_of_their_autoencoders(trained: Path, bundle: Path) -> None:
+    pipe = MotionPipeline.load(bundle, threads=1)
+    weights = torch.load(trained / "run" / "denoisers" / "last.ckpt", weights_only=True)["state_dict"]
+    rng = np.random.default_rng(0)
+    mask = np.ones((2, 48), dtype=np.float32)
+    for level in ("motion", "action"):
+        own = read_vae(trained / "run" / f"vae_{level}" / "last.ckpt")
+        spec = pipe.manifest.levels[level]
+        latent = rng.standard_normal((2, spec.tokens, spec.latent_width)).astype(np.float32)
+        decoder = pipe._sessions.coarse_decoders[level]()
+        (found,) = decoder.run(["features"], {"latent": latent, "frame_mask": mask})
+        plain = torch.from_numpy(latent) * weights[f"{level}_scale"] + weights[f"{level}_centre"]
+        with torch.no_grad():
+            features = own.vae.decode(plain, torch.from_numpy(mask)).numpy()
+        # in metres and radians, each under its own normalisation
+        mean, std = (np.array(part) for part in (pipe.manifest.features.mean, pipe.manifest.features.std))
+        np.testing.assert_allclose(found * std + mean, features * own.std + own.mean, atol=5e-3)
+    shown: list[str] = []
+    clip = pipe.generate("a person walks", seconds=2, seed=1, on_level=lambda name, coarse: shown.append(name))
+    assert shown == ["motion", "action"] and clip.frames == 40
+
+
+def test_identities_hold_to_rounding_in_float32(bundle: Path) -> None:
+    pipe = MotionPipeline.load(bundle, threads=1)
+    walk, turn = "a person walks to the left", "someone turns to the right"
+    few: dict[str, Any] = {"seconds": 2, "foot_fix": False}
+    plain = pipe.generate(walk, seed=1, **few).joints
+    clips = pipe.batch([walk, turn], takes=2, seconds=[2, 3], seed=1, foot_fix=False)
+    alone = [pipe.generate(clip.text, seed=clip.seed, seconds=clip.duration, foot_fix=False) for clip in clips]
+    for clip, own in zip(clips, alone, strict=True):
+        # Padding changes roundings in the text encoder, whose int8 blocks can then fall on the other side.
+        np.testing.assert_allclose(clip.joints, own.joints, atol=1e-3)
+    pairs = [(pipe.compose([walk], method=how, seed=1, **few).joints, plain) for how in METHODS]
+    both = [Concept(walk), Concept(turn, 0.7)]
+    latent, semantic = (pipe.compose(both, method=how, seed=1, **few).joints for how in METHODS[:2])
+    pairs.append((pipe.compose(both[::-1], method="latent", seed=1, **few).joints, latent))
+    pairs.append((pipe.compose(both, lambdas=(1.0, 0.0, 0.0), seed=1, **few).joints, latent))
+    pairs.append((pipe.compose(both, lambdas=(0.0, 1.0, 0.0), seed=1, **few).joints, semantic))
+    graph = pipe.parse(walk)
+    gone = pipe.generate(without(graph, "to the left"), seed=1, **few).joints
+    pairs.append((pipe.generate(with_weight(graph, "to the left", 0.0), seed=1, **few).joints, gone))
+    for one, other in pairs:
+        np.testing.assert_allclose(one, other, atol=1e-4)
+    assert np.abs(latent - semantic).max() > 1e-3
+
+
+def test_an_int8_bundle_is_smaller_and_near(trained: Path, bundle: Path, vaes: Path, tmp_path: Path) -> None:
+    manifest = export_bundle(trained / "run", ASSETS, CARD, tmp_path / "int8", "int8")
+    assert manifest.precision == "int8" and "int8" in manifest.provenance["numbers"]
+    assert {f"int8_step_{level}" for level in LEVELS} <= manifest.parity.keys()
+    sizes = [sum(path.stat().st_size for path in folder.glob("step_*")) for folder in (tmp_path / "int8", bundle)]
+    assert sizes[0] < sizes[1]
+    clips = [
+        MotionPipeline.load(folder, threads=1).generate("a person walks to the left", seconds=2, seed=1).joints
+        for folder in (tmp_path / "int8", bundle)
+    ]
+    assert 1e-6 < np.linalg.norm(clips[0] - clips[1], axis=-1).mean() < 0.1
+    recover(tmp_path / "int8", "tiny", vaes, tmp_path / "recovered")
+    own, back = (
+        torch.load(run / "denoisers" / "last.ckpt", weights_only=True)["state_dict"]
+        for run in (trained / "run", tmp_path / "recovered")
+    )
+    for name in [name for name in own if name.startswith("hierarchy.")]:
+        # an int8 number is off by half a step of the largest weight's 127
+        assert (own[name] - back[name]).abs().max() <= own[name].abs().max() / 200, name
+
+
+ONE_OF_A_KIND = (
+    "graph_encoder", "context_action", "clock_action", "step_action", "context_action_agd", "step_action_agd",
+    "decoder", "decoder_action",
+)  # fmt: skip
+
+
+def test_a_run_recovered_from_a_bundle_gives_the_same_bundle(
+    bundle: Path, vaes: Path, traces: Traces, tmp_path: Path
+) -> None:
+    recover(bundle, "tiny", vaes, tmp_path / "run")
+    # The exporter itself must give the same bytes twice; and with the other base of guidance, so that the whole
+    # pipeline is held against torch for both.
+    assert traces.forget(*ONE_OF_A_KIND) == len(ONE_OF_A_KIND)
+    export_bundle(tmp_path / "run", ASSETS, replace(CARD, guidance_base="empty"), tmp_path / "again", "fp32")
+    first, again = (json.loads((folder / "manifest.json").read_bytes()) for folder in (bundle, tmp_path / "again"))
+    assert first["files"] == again["files"]
+
+
+def test_of_a_bundle_without_coarse_decoders_the_data_tell_how_latents_were_standardised(
+    trained: Path, vaes: Path
+) -> None:
+    weights = torch.load(trained / "run" / "denoisers" / "last.ckpt", weights_only=True)["state_dict"]
+    measured = coarse_statistics(vaes, trained / "data", None, read_preset("tiny"))
+    assert set(measured) == {f"{level}_{name}" for level in LEVELS[:-1] for name in ("centre", "scale")}
+    for name, value in measured.items():
+        np.testing.assert_allclose(value, weights[name], atol=1e-5)
+
+
+def test_a_bundle_of_another_preset_is_not_recovered(bundle: Path, tmp_path: Path) -> None:
+    with pytest.raises(InvalidInputError, match="is not what this preset"):
+        recover(bundle, "edge", WEIGHTS, tmp_path / "wrong")
+
+
+def test_other_folders_are_not_overwritten_and_no_run_is_even_read(tmp_path: Path) -> None:
+    mine = tmp_path / "mine"
+    mine.mkdir()
+    (mine / "thesis.txt").write_text("four years")
+    with pytest.raises(kinegraph.KinegraphError, match="not a bundle"):
+        export_bundle(tmp_path / "no run", ASSETS, CARD, mine)
+    assert (mine / "thesis.txt").read_text() == "four years"
+
+
+def test_a_missing_stage_is_named(tmp_path: Path) -> None:
+    with pytest.raises((InvalidInputError, BundleError), match="train that stage first"):
+        export_bundle(tmp_path, ASSETS, CARD, tmp_path / "bundle")
