@@ -1,13 +1,32 @@
-"""Figures that tests measure stand at the end of the test output, passed or failed."""
+"""What tests of several folders share: a loaded bundle, its playground, and figures that stand at the end of the test
+output, passed or failed."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Final
 
 import pytest
+from playing import TEXT, Playing, playing
+
+from kinegraph import MotionPipeline
 
 _FIGURES: Final = pytest.StashKey[list[str]]()
+
+
+@pytest.fixture(scope="module")
+def pipe() -> MotionPipeline:
+    """The default bundle, its parser loaded."""
+    found = MotionPipeline.load(threads=1)
+    found.parse(TEXT)
+    return found
+
+
+@pytest.fixture(scope="module")
+def server(pipe: MotionPipeline) -> Iterator[Playing]:
+    """Its playground."""
+    with playing(pipe) as found:
+        yield found
 
 
 @pytest.fixture

@@ -2,18 +2,15 @@
 
 from __future__ import annotations
 
-import dataclasses
 import time
-from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-import numpy as np
 import pytest
 from browsing import Open, changed, shown, wait_until
-from playing import Playing, playing
+from playing import Playing
 
-from kinegraph import MotionPipeline, cli
+from kinegraph import cli
 
 pytest.importorskip("spacy")
 pytest.importorskip("uvicorn")
@@ -23,19 +20,6 @@ if TYPE_CHECKING:
 
 TEXT = "a person walks forward and turns to the left"
 LONG_STEPS = "900"
-
-
-@pytest.fixture(scope="module")
-def pipe() -> MotionPipeline:
-    found = MotionPipeline.load(threads=1)
-    found.parse(TEXT)
-    return found
-
-
-@pytest.fixture(scope="module")
-def server(pipe: MotionPipeline) -> Iterator[Playing]:
-    with playing(pipe) as found:
-        yield found
 
 
 def settings(page: Page, **values: str) -> None:
@@ -76,8 +60,8 @@ def test_a_sentence_becomes_a_clip_with_its_graph_and_its_latencies(open_page: O
     assert changed(shown(page, 0.5), shown(page, 2.0)) > 0.01
     assert page.locator(".graph .words").all_text_contents()[0] == "walks"
     assert "3.0 s, 60 frames" in page.locator(".facts").inner_text()
-    stages = page.locator(".stages dt").all_text_contents()
-    assert stages[0] == "parser" and stages[-1] == "until seen" and len(stages) == 7
+    stages = ["parser", "text and motion", "previews", "action", "specific", "decoder, feet", "body", "until seen"]
+    assert page.locator(".stages dt").all_text_contents() == stages
 
 
 def test_files_are_those_of_the_command_line(open_page: Open, server: Playing, tmp_path: Path) -> None:
@@ -225,33 +209,17 @@ def test_a_clip_is_kept_beside_the_next(open_page: Open, server: Playing) -> Non
     assert changed(shown(page, 0.2), shown(page, 0.9)) > 0.001
 
 
-class StandIn:
-    """A coarser decoder where the bundle has none: the finest one, and what it makes of one latent for all."""
-
-    def __init__(self, pipe: MotionPipeline) -> None:
-        self._decoder = pipe._sessions.decoder
-        self._spec = pipe.manifest.levels["specific"]
-
-    def run(self, names: list[str], feeds: dict[str, Any]) -> Any:
-        latent = np.zeros((len(feeds["latent"]), self._spec.tokens, self._spec.latent_width), dtype=np.float32)
-        return self._decoder.run(names, {**feeds, "latent": latent})
-
-
-def test_the_coarse_motion_is_seen_first(open_page: Open, pipe: MotionPipeline) -> None:
-    own = MotionPipeline(pipe.manifest, pipe._sessions, pipe._tokenizer, pipe._tables, pipe._parser)
-    coarse = dict.fromkeys(("motion", "action"), lambda: StandIn(pipe))
-    own._sessions = dataclasses.replace(pipe._sessions, coarse_decoders=coarse)  # type: ignore[arg-type]
-    with playing(own) as server:
-        page = open_page(server.url)
-        empty = page.locator("canvas").screenshot()
-        page.get_by_label("What should the person do?").fill(TEXT)
-        settings(page, seconds="3", seed="1", steps="2,2,900")
-        page.get_by_role("button", name="Generate").click()
-        wait_until(page, lambda: "so far the actions" in page.locator(".panes").inner_text())
-        assert made(page) == 0
-        assert changed(empty, page.locator("canvas").screenshot()) > 0.01
-        wait_until(page, lambda: made(page) == 1, 60)
-        assert page.locator(".panes").inner_text() == ""
+def test_the_coarse_motion_is_seen_first(open_page: Open, server: Playing) -> None:
+    page = open_page(server.url)
+    empty = page.locator("canvas").screenshot()
+    page.get_by_label("What should the person do?").fill(TEXT)
+    settings(page, seconds="3", seed="1", steps="2,2,900")
+    page.get_by_role("button", name="Generate").click()
+    wait_until(page, lambda: "so far the actions" in page.locator(".panes").inner_text())
+    assert made(page) == 0
+    assert changed(empty, page.locator("canvas").screenshot()) > 0.01
+    wait_until(page, lambda: made(page) == 1, 60)
+    assert page.locator(".panes").inner_text() == ""
 
 
 LABELS = """() => [...document.querySelectorAll("button, input, select, textarea, summary, canvas")]

@@ -13,6 +13,9 @@ from typing import Any
 
 from kinegraph import MotionPipeline
 
+TEXT = "a person walks slowly to the left"
+WISH = {"text": TEXT, "seconds": 2, "seed": 7, "steps": 3}
+
 
 @dataclass(frozen=True)
 class Answer:

@@ -1,0 +1,177 @@
+"""`kinegraph play` over the wire: who may ask, what is refused and how, and what it never does."""
+
+from __future__ import annotations
+
+import os
+import sys
+import threading
+from typing import Any
+
+import pytest
+from cli_runs import whole
+from playing import TEXT, WISH, Playing
+
+pytest.importorskip("spacy")
+pytest.importorskip("starlette")
+pytest.importorskip("uvicorn")
+
+
+def test_the_page_is_whole_and_may_talk_to_this_server_alone(server: Playing) -> None:
+    answer = server.send("GET", "/")
+    assert answer.status == 200 and answer.headers["content-type"] == "text/html; charset=utf-8"
+    assert len(answer.body) <= 1_500_000
+    policy = answer.headers["content-security-policy"]
+    assert "default-src 'none'" in policy and "connect-src 'self'" in policy and "frame-ancestors 'none'" in policy
+    assert "http" not in policy and "unsafe" not in policy and "*" not in policy
+
+
+@pytest.mark.parametrize(
+    "host", ["evil.example", "evil.example:{port}", "127.0.0.1", "127.0.0.1:1", "localhost.:{port}", ""]
+)
+def test_other_names_for_this_machine_are_refused(server: Playing, host: str) -> None:
+    for method, path in (("GET", "/"), ("POST", "/api/parse")):
+        answer = server.send(method, path, b"{}", Host=host.format(port=server.port), content_type="application/json")
+        assert answer.status in (400, 421), answer  # 400: the server's own, for no Host at all
+        assert b"graph" not in answer.body
+
+
+@pytest.mark.parametrize("name", ["127.0.0.1", "localhost", "LOCALHOST", "[::1]"])
+def test_the_names_of_loopback_are_taken(server: Playing, name: str) -> None:
+    host = f"{name}:{server.port}"
+    answer = server.send(
+        "POST",
+        "/api/parse",
+        b'{"text": "a person walks"}',
+        Host=host,
+        origin=f"http://{host}",
+        content_type="application/json",
+    )
+    assert answer.status == 200
+
+
+@pytest.mark.parametrize(
+    "headers",
+    [
+        {"origin": "http://evil.example"},
+        {"origin": "null"},
+        {"origin": "https://127.0.0.1:{port}"},
+        {"origin": "http://127.0.0.1:1"},
+        {"sec_fetch_site": "cross-site"},
+        {"sec_fetch_site": "same-site"},
+    ],
+)
+def test_pages_from_elsewhere_are_refused(server: Playing, headers: dict[str, str]) -> None:
+    own = {name: value.format(port=server.port) for name, value in headers.items()}
+    answer = server.send("POST", "/api/parse", b'{"text": "a person walks"}', content_type="application/json", **own)
+    assert answer.status == 403 and answer.json == {"error": "another page may not ask this server"}
+
+
+@pytest.mark.parametrize("kind", ["text/plain", "application/x-www-form-urlencoded", "multipart/form-data", ""])
+def test_what_a_page_may_send_without_asking_is_no_json(server: Playing, kind: str) -> None:
+    assert server.send("POST", "/api/parse", b'{"text": "a person walks"}', content_type=kind).status == 415
+
+
+def test_no_page_from_elsewhere_is_ever_given_leave(server: Playing) -> None:
+    asks = {"origin": "http://evil.example", "access_control_request_method": "POST"}
+    answers = [
+        server.send("OPTIONS", "/api/clip", **asks),
+        server.send("OPTIONS", "/api/clip"),
+        server.send("GET", "/"),
+    ]
+    assert [answer.status for answer in answers] == [403, 405, 200]
+    for answer in answers:
+        assert not [name for name in answer.headers if name.startswith("access-control")]
+        assert answer.headers["x-frame-options"] == "DENY" and answer.headers["cache-control"] == "no-store"
+
+
+def test_requests_are_bounded(server: Playing) -> None:
+    answer = server.post("/api/parse", {"text": "x" * 70_000})
+    assert answer.status == 413 and "65536 bytes" in answer.json["error"]
+    told = server.send("POST", "/api/parse", b"{}", content_type="application/json", content_length="9" * 40)
+    assert told.status in (400, 413)
+    chunked = server.send(
+        "POST", "/api/parse", b"2\r\n{}\r\n0\r\n\r\n", content_type="application/json", transfer_encoding="chunked"
+    )
+    assert chunked.status == 411
+
+
+@pytest.mark.parametrize(
+    "path", ["/viewer.js", "/../../etc/passwd", "/%2e%2e/%2e%2e/etc/passwd", "//etc/passwd", "/api/", "/api/files"]
+)
+def test_there_are_no_files_to_be_had(server: Playing, path: str) -> None:
+    for method in ("GET", "POST"):
+        answer = server.send(method, path, b"{}", content_type="application/json")
+        assert answer.status == 404 and b"root:" not in answer.body
+
+
+GRAPH = whole(TEXT).to_dict()
+BAD: list[tuple[str, Any, str]] = [
+    ("parse", b"{", "not valid JSON"),
+    ("parse", b"\xff\xfe", "not valid JSON"),
+    ("parse", b"[" * 60_000, "not valid JSON"),
+    ("parse", [], "must be a JSON object"),
+    ("parse", {}, "text"),
+    ("parse", {"text": " "}, "caption is empty"),
+    ("parse", {"text": 7}, "text"),
+    ("parse", {"text": TEXT, "file": "/etc/passwd"}, "unknown 'file'"),
+    ("edit", {"edit": {"kind": "drop", "node": 1}}, "the graph must be a JSON object"),
+    ("edit", {"graph": GRAPH, "edit": {"kind": "drop", "node": 1}}, "the only action"),
+    ("edit", {"graph": GRAPH, "edit": {"kind": "mask", "node": 9}}, "no node 9"),
+    ("edit", {"graph": GRAPH, "edit": {"kind": "shell", "node": 1}}, "edit.kind must be"),
+    ("edit", {"graph": GRAPH, "edit": {"kind": "argument", "node": 1, "text": "x", "role": "Z"}}, "role"),
+    ("clip", {"seed": 1}, "text"),
+    ("clip", {"text": TEXT, "graph": GRAPH, "concepts": []}, "either concepts or a sentence"),
+    ("clip", {"text": TEXT, "method": "fused"}, "method is for concepts"),
+    ("clip", {"text": TEXT, "steps": "many"}, "steps: 'many' is not a number"),
+    ("clip", {"text": TEXT, "on_step": "x"}, "unknown 'on_step'"),
+    ("clip", {"concepts": [{"text": TEXT, "weight": "heavy"}]}, "weight"),
+    ("clip", {"concepts": "walk"}, "concepts must be a list"),
+    ("file", {"wish": WISH, "suffix": ".exe"}, "suffix must be one of"),
+    ("file", {"wish": WISH, "suffix": ["x"]}, "suffix must be one of"),
+    ("file", {"wish": 1, "suffix": ".bvh"}, "wish must be"),
+    ("file", {"wish": {"text": TEXT}, "suffix": ".bvh"}, "needs the seed"),
+    ("file", {"wish": WISH, "suffix": ".bvh", "names": "unreal"}, "one of smpl, mixamo"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("call", "value", "message"), BAD, ids=range(len(BAD)))
+def test_bad_requests_are_told_what_is_wrong(server: Playing, call: str, value: Any, message: str) -> None:
+    answer = server.post(f"/api/{call}", value)
+    assert answer.status == 400, answer
+    assert message in answer.json["error"] and "\n" not in answer.json["error"]
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"), [({"seconds": 90}, "seconds"), ({"seed": -1}, "seed"), ({"foot_fix": "x"}, "foot_fix")]
+)
+def test_what_the_model_does_not_take_ends_the_stream_with_its_message(
+    server: Playing, changes: dict[str, Any], message: str
+) -> None:
+    last = server.clip({**WISH, **changes})[-1]
+    assert last["event"] == "error" and message in last["message"]
+
+
+def test_nothing_is_written_and_nothing_asked_of_the_network(server: Playing) -> None:
+    seen: list[str] = []
+    watching = threading.Event()
+
+    def watch(event: str, arguments: tuple[Any, ...]) -> None:
+        if not watching.is_set():
+            return
+        if event == "open" and isinstance(arguments[2], int) and arguments[2] & (os.O_WRONLY | os.O_RDWR):
+            seen.append(f"writes {arguments[0]}")
+        elif event == "socket.connect" and arguments[1][:2] != ("127.0.0.1", server.port):
+            seen.append(f"connects to {arguments[1]}")
+        elif event in ("os.remove", "os.rename", "os.mkdir", "subprocess.Popen", "os.system"):
+            seen.append(event)
+
+    sys.addaudithook(watch)  # stays until the process ends, and asleep after this test
+    watching.set()
+    try:
+        server.send("GET", "/")
+        assert server.clip(WISH)[-1]["event"] == "clip"
+        for suffix in (".bvh", ".glb", ".npz", ".html"):
+            assert server.post("/api/file", {"wish": WISH, "suffix": suffix}).status == 200
+    finally:
+        watching.clear()
+    assert seen == []
