@@ -23,7 +23,7 @@ from evaluator import Evaluator
 from numpy.typing import NDArray
 from recogniser import Recogniser
 from scores import GROUP, Judges, Reference, has_twin, scores, summarised
-from takes import BundleModel, Model, folder_of, generated
+from takes import BundleModel, Model, captions_of, folder_of, generated
 from written import written
 
 from kinegraph import KinegraphError
@@ -62,8 +62,7 @@ def captured_scores(reference: Reference, judges: Judges, repeats: int) -> dict[
     rng = np.random.default_rng(1)
     rows, motions = [], [clip.joints for clip in reference.clips]
     for take in range(repeats):
-        captions = [clip.captions[take % len(clip.captions)] for clip in reference.clips]
-        rows.append(scores(motions, captions, reference, judges, rng)[0])
+        rows.append(scores(motions, captions_of(reference.clips, take), reference, judges, rng)[0])
     return summarised(rows)
 
 

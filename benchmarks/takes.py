@@ -55,14 +55,23 @@ class BundleModel:
         self.generate = pipe.generate
 
 
+def captions_of(clips: Sequence[MotionClip], take: int) -> list[str]:
+    """One caption per clip: in take k the clip of row r has its caption k + r, modulo their number.
+
+    Captions are written in kinds (the first never tells steps, degrees or heights): so every take holds all kinds, and
+    as many takes as there are captions ask for each of them once.
+    """
+    return [clip.captions[(take + row) % len(clip.captions)] for row, clip in enumerate(clips)]
+
+
 def generated(
     model: Model, clips: Sequence[MotionClip], take: int, folder: Path, **options: Any
 ) -> tuple[list[Joints], list[str]]:
-    """One motion per clip, for one of its captions and as long as it, and the captions used.
+    """One motion per clip, for one of its captions (`captions_of`) and as long as it, and the captions used.
 
-    Take k uses caption k modulo their number, and seed 1000 k + row. `options` go to `generate`.
+    Take k uses seed 1000 k + row. `options` go to `generate`.
     """
-    captions = [clip.captions[take % len(clip.captions)] for clip in clips]
+    captions = captions_of(clips, take)
     path = folder / f"take_{take:02d}.npz"
     if path.is_file():
         with np.load(path, allow_pickle=False) as stored:

@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
 from caption_claims import Claim, claims, hand_height, steps
-from evaluate import table
+from evaluate import captured_scores, table
 from motions import posed, t_pose, turn, walk
 from recogniser import Recogniser
-from scores import has_twin, summarised
-from takes import folder_of, generated
+from scores import Judges, Reference, has_twin, summarised
+from takes import captions_of, folder_of, generated
 
+from kinegraph.motion.skeleton import bone_lengths
 from kinegraph_training.data import MotionClip
 
 
@@ -96,8 +99,8 @@ def test_takes_are_kept_and_belong_to_their_model(tmp_path: Path) -> None:
     model = FakeModel()
     folder = folder_of(model, tmp_path, "dev", clips, {})
     motions, captions = generated(model, clips, 1, folder)
-    assert captions == ["is walking", "d"]
-    assert model.calls == [("is walking", 2.0, 1000), ("d", 9.8, 1001)]
+    assert captions == ["is walking", "dances"]
+    assert model.calls == [("is walking", 2.0, 1000), ("dances", 9.8, 1001)]
     again, _ = generated(model, clips, 1, folder)
     assert len(model.calls) == 2, "nothing is generated twice"
     for one, two in zip(motions, again, strict=True):
@@ -105,6 +108,37 @@ def test_takes_are_kept_and_belong_to_their_model(tmp_path: Path) -> None:
     other = FakeModel()
     other.stamp = "s2"
     assert folder_of(other, tmp_path, "dev", clips, {}) != folder != folder_of(model, tmp_path, "dev", clips, {"g": 4})
+
+
+def test_a_take_holds_captions_of_every_kind_and_all_takes_hold_all() -> None:
+    clips = [clip("walk", walk(20), "normal", *(f"{row}{kind}" for kind in "abc")) for row in range(5)]
+    takes = [captions_of(clips, take) for take in range(3)]
+    assert takes[0] == ["0a", "1b", "2c", "3a", "4b"]
+    asked = sorted(caption for take in takes for caption in take)
+    assert asked == sorted(caption for one in clips for caption in one.captions)
+    assert captions_of(clips, 3) == takes[0], "takes of one caption are told apart for multimodality"
+
+
+class Blind:
+    """Judges that see nothing, the same nothing for everything."""
+
+    def motions(self, clips: Sequence[np.ndarray]) -> np.ndarray:
+        return np.random.default_rng(0).standard_normal((len(clips), 4)).astype(np.float32)
+
+    captions = motions
+
+    def __call__(self, motions: Sequence[np.ndarray], name: str) -> list[str]:
+        return ["walk"] * len(motions)
+
+
+def test_one_repeat_is_enough_to_measure_claims() -> None:
+    captions = ("a person walks", "a person takes seven steps", "turns by 90 degrees", "raises a hand to head height")
+    clips = [clip("walk", walk(64, speed=0.03 + row * 1e-3), "normal", *captions) for row in range(8)]
+    blind: Any = Blind()
+    judges = Judges(blind, blind, bone_lengths(clips[0].joints).mean(0))
+    found = captured_scores(Reference(clips, blind.motions([one.joints for one in clips])), judges, 1)
+    assert found["claims_steps"]["mean"] == 1.0
+    assert {"claims_degrees", "claims_height"} <= found.keys()
 
 
 def test_a_summary_holds_what_only_some_repeats_have() -> None:
