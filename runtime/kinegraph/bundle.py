@@ -47,7 +47,8 @@ class Bundle:
     files: Mapping[str, bytes]
     """Content of each listed file by name, all but the graphs of `contract.OPTIONAL_GRAPHS`."""
     tables: Mapping[str, FloatArray]
-    """`time_{level}` (train_steps, d) and `length_{level}` (max_frames + 1, d); read-only."""
+    """What the run measured on its clips, as far as the bundle has it (`tables.table_shapes`), read-only: `duration`
+    (1, D + 3), what a clip's length is read off, and `bone_lengths` (1, 21) in metres."""
 
     def optional(self, name: str) -> bytes:
         """Content of an optional graph's file, read and checked now: who never uses it does not pay for it.

@@ -12,7 +12,7 @@ onnx = pytest.importorskip("onnx")
 pytest.importorskip("onnxscript")
 
 from kinegraph.contract import LevelSpec, clock, step  # noqa: E402
-from kinegraph_export.graphs import drawn_inputs, export_graph, traced  # noqa: E402
+from kinegraph_export.graphs import drawn_inputs, export_graph  # noqa: E402
 from kinegraph_export.modules import ClockGraph, StepGraph  # noqa: E402
 from kinegraph_export.onnx_export import round_weights  # noqa: E402
 from kinegraph_export.parity import ParityError, max_difference, relative_error  # noqa: E402
@@ -22,6 +22,8 @@ LAYERS, TOKENS = 3, 4
 CONFIG = DenoiserConfig(width=64, layers=LAYERS, heads=2, feed_forward=128)
 LEVEL = LevelSpec(TOKENS, 8, 64, 2, LAYERS, ("motion",))
 CONTRACT = step("motion", LEVEL)
+Exported = tuple[bytes, dict[str, float]]
+"""Of `export_graph`."""
 
 
 @pytest.fixture(scope="module")
@@ -32,12 +34,22 @@ def network() -> StepGraph:
     return module
 
 
+@pytest.fixture(scope="module")
+def in_float(network: StepGraph) -> Exported:
+    return export_graph(network, CONTRACT, 4, "fp32")
+
+
+@pytest.fixture(scope="module")
+def in_int8(network: StepGraph) -> Exported:
+    return export_graph(network, CONTRACT, 4, "int8")
+
+
 def counts(data: bytes) -> Counter[str]:
     return Counter(node.op_type for node in onnx.load_model_from_string(data).graph.node)
 
 
-def test_a_float_step_is_made_of_fused_operators_and_is_the_network(network: StepGraph) -> None:
-    data, parity = export_graph(network, CONTRACT, 4, "fp32")
+def test_a_float_step_is_made_of_fused_operators_and_is_the_network(in_float: Exported) -> None:
+    data, parity = in_float
     found = counts(data)
     assert parity == {"step_motion": pytest.approx(0.0, abs=1e-5)}
     assert found["Attention"] == found["MultiHeadAttention"] == found["Gather"] == LAYERS
@@ -48,8 +60,8 @@ def test_a_float_step_is_made_of_fused_operators_and_is_the_network(network: Ste
     assert not found.keys() & {"Softmax", "Transpose", "Mul", "GatherND"}
 
 
-def test_an_int8_step_multiplies_in_int8_and_nothing_else_is_added(network: StepGraph) -> None:
-    data, parity = export_graph(network, CONTRACT, 4, "int8")
+def test_an_int8_step_multiplies_in_int8_and_nothing_else_is_added(in_int8: Exported) -> None:
+    data, parity = in_int8
     found = counts(data)
     assert parity["step_motion"] <= 1e-5 and 0.0 < parity["int8_step_motion"] < 0.1
     assert found["QAttention"] == found["MultiHeadAttention"] == LAYERS
@@ -59,20 +71,18 @@ def test_an_int8_step_multiplies_in_int8_and_nothing_else_is_added(network: Step
     assert sum(found.values()) <= 8 + 21 * LAYERS
 
 
-def test_keys_values_and_time_are_inputs_of_a_step(network: StepGraph) -> None:
-    names = {
-        tensor.name for tensor in onnx.load_model_from_string(export_graph(network, CONTRACT, 4, "int8")[0]).graph.input
-    }
+def test_keys_values_and_time_are_inputs_of_a_step(in_int8: Exported) -> None:
+    names = {tensor.name for tensor in onnx.load_model_from_string(in_int8[0]).graph.input}
     assert names == {spec.name for spec in CONTRACT.inputs}
     assert {"key_0", "value_0", "modulation"} <= names and not names & {"timestep", "nodes", "frames"}
 
 
-def test_the_same_module_gives_the_same_int8_bytes(network: StepGraph) -> None:
-    assert export_graph(network, CONTRACT, 4, "int8")[0] == export_graph(network, CONTRACT, 4, "int8")[0]
+def test_the_same_module_gives_the_same_int8_bytes(network: StepGraph, in_int8: Exported) -> None:
+    assert export_graph(network, CONTRACT, 4, "int8")[0] == in_int8[0]
 
 
-def test_parity_sees_a_wrong_weight(network: StepGraph) -> None:
-    data, _ = export_graph(network, CONTRACT, 4, "fp32")
+def test_parity_sees_a_wrong_weight(in_float: Exported) -> None:
+    data, _ = in_float
     other = StepGraph(StepNetwork(CONFIG, LatentShape(TOKENS, 8))).eval()
     draw = drawn_inputs(CONTRACT, 4)
     with pytest.raises(ParityError, match="step_motion"):
@@ -81,11 +91,10 @@ def test_parity_sees_a_wrong_weight(network: StepGraph) -> None:
         relative_error(data, other, CONTRACT, draw)
 
 
-def test_the_clock_is_one_graph_of_all_steps(network: StepGraph) -> None:
+def test_the_clock_is_one_graph_of_all_steps() -> None:
     contract = clock("motion", LEVEL)
-    model = traced(ClockGraph(Clock(CONFIG)).eval(), contract, 4)
-    assert "Loop" not in {node.op_type for node in model.graph.node}
     data, _ = export_graph(ClockGraph(Clock(CONFIG)).eval(), contract, 4, "int8")
+    assert "Loop" not in {node.op_type for node in onnx.load_model_from_string(data).graph.node}
     feeds = drawn_inputs(contract, 4)(np.random.Generator(np.random.PCG64(0)))
     import onnxruntime
 

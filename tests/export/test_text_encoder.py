@@ -5,6 +5,8 @@ from __future__ import annotations
 import json
 import os
 import zipfile
+from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -59,38 +61,52 @@ def batch(ids: list[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
     return padded, mask
 
 
-def both(published: MiniLm, data: bytes, captions: list[np.ndarray]) -> list[tuple[np.ndarray, ...]]:
-    """(ours, theirs) hidden states of every real piece and pooled vectors, 20 captions at a time."""
-    session = onnxruntime.InferenceSession(data, providers=["CPUExecutionProvider"])
-    pairs = []
+@dataclass(frozen=True)
+class Published:
+    """What the published model makes of a batch: states of every real piece, and pooled vectors."""
+
+    ids: np.ndarray
+    mask: np.ndarray
+    states: np.ndarray
+    means: np.ndarray
+
+
+@pytest.fixture(scope="module")
+def expected(published: MiniLm, captions: list[np.ndarray]) -> list[Published]:
+    """20 captions at a time."""
+    found = []
     for start in range(0, len(captions), 20):
         ids, mask = batch(captions[start : start + 20])
-        hidden, pooled = session.run(["hidden", "pooled"], {"input_ids": ids, "attention_mask": mask})
         with torch.no_grad():
             states, means = published(torch.from_numpy(ids), torch.from_numpy(mask))
-        real = mask.astype(bool)
-        pairs.append((hidden[real], states.numpy()[real], pooled, means.numpy()))
-    return pairs
+        found.append(Published(ids, mask, states.numpy()[mask.astype(bool)], means.numpy()))
+    return found
 
 
-def test_float_export_equals_the_published_model_on_200_captions(
-    wheel: Path, published: MiniLm, captions: list[np.ndarray]
-) -> None:
-    for hidden, states, pooled, means in both(published, export_text_encoder(wheel, precision="fp32"), captions):
-        np.testing.assert_allclose(hidden, states, atol=1e-4)
-        np.testing.assert_allclose(pooled, means, atol=1e-4)
+def exported(data: bytes, expected: list[Published]) -> Iterator[tuple[Published, np.ndarray, np.ndarray]]:
+    """Beside each batch what an exported model makes of it."""
+    session = onnxruntime.InferenceSession(data, providers=["CPUExecutionProvider"])
+    for each in expected:
+        hidden, pooled = session.run(["hidden", "pooled"], {"input_ids": each.ids, "attention_mask": each.mask})
+        yield each, hidden[each.mask.astype(bool)], pooled
+
+
+def test_float_export_equals_the_published_model_on_200_captions(wheel: Path, expected: list[Published]) -> None:
+    for own, hidden, pooled in exported(export_text_encoder(wheel, precision="fp32"), expected):
+        np.testing.assert_allclose(hidden, own.states, atol=1e-4)
+        np.testing.assert_allclose(pooled, own.means, atol=1e-4)
 
 
 def cosine(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     return (a * b).sum(-1) / np.linalg.norm(a, axis=-1) / np.linalg.norm(b, axis=-1)
 
 
-def test_int8_keeps_the_direction_of_every_state(wheel: Path, published: MiniLm, captions: list[np.ndarray]) -> None:
+def test_int8_keeps_the_direction_of_every_state(wheel: Path, expected: list[Published]) -> None:
     data = export_text_encoder(wheel, precision="int8")
     assert len(data) < 24_000_000
-    for hidden, states, pooled, means in both(published, data, captions):
-        assert cosine(hidden, states).min() > 0.99
-        assert cosine(pooled, means).min() > 0.995
+    for own, hidden, pooled in exported(data, expected):
+        assert cosine(hidden, own.states).min() > 0.99
+        assert cosine(pooled, own.means).min() > 0.995
 
 
 def test_a_layer_is_berts_written_out(published: MiniLm) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import pytest
@@ -12,6 +13,7 @@ pytest.importorskip("onnxscript")
 
 import numpy as np  # noqa: E402
 import onnxruntime  # noqa: E402
+from tracing import traced_once  # noqa: E402
 
 from kinegraph.contract import PADDING_BIAS, LevelSpec, context_agd, step_agd  # noqa: E402
 from kinegraph.diffusion.composition import Mixture, composition, mixed, step_sizes  # noqa: E402
@@ -242,6 +244,12 @@ def test_padding_has_no_influence() -> None:
 
 
 LEVEL = LevelSpec(4, CHANNELS, WIDTH, HEADS, LAYERS, ("motion",))
+
+
+@pytest.fixture(scope="module", autouse=True)
+def traces() -> Iterator[None]:
+    with traced_once():
+        yield
 
 
 @pytest.mark.parametrize("precision", ["fp32", "int8"])

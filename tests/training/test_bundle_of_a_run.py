@@ -30,6 +30,7 @@ from kinegraph.errors import BundleError, InvalidInputError  # noqa: E402
 from kinegraph.manifest import Licence  # noqa: E402
 from kinegraph.motion.bones import with_bone_lengths  # noqa: E402
 from kinegraph.tables import bones_of  # noqa: E402
+from kinegraph_export import recover as recovering  # noqa: E402
 from kinegraph_export.checkpoints import read_run  # noqa: E402
 from kinegraph_export.export_bundle import Card, export_bundle  # noqa: E402
 from kinegraph_export.pipeline_parity import Request, torch_joints  # noqa: E402
@@ -65,7 +66,7 @@ def vaes(trained: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module", autouse=True)
 def traces() -> Iterator[Traces]:
-    with traced_once() as found:
+    with traced_once(recovering) as found:
         yield found
 
 

@@ -139,9 +139,12 @@ def test_data_without_two_actions_that_go_together_are_refused(data: Path, tmp_p
         compml.composer(Stub(), alone, data / "held_out.json", 0).wish(0, 0)  # type: ignore[arg-type]
 
 
+WALK = walk(40)
+
+
 def shaking(size: float) -> np.ndarray:
     """A walk whose joints all jump up and down: its jerk is that of the walk and about 64000 size."""
-    joints = walk(40)
+    joints = WALK.copy()
     joints[::2, :, 1] += size
     return joints
 

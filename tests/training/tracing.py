@@ -6,13 +6,14 @@ import copy
 import hashlib
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from types import ModuleType
 
 import onnx
 import pytest
 from torch import nn
 
 from kinegraph.contract import GraphContract
-from kinegraph_export import graphs, recover
+from kinegraph_export import graphs
 
 Key = tuple[GraphContract, int, str]
 
@@ -41,10 +42,10 @@ class Traces:
 
 
 @contextmanager
-def traced_once() -> Iterator[Traces]:
-    """Until the end of the block."""
+def traced_once(*users: ModuleType) -> Iterator[Traces]:
+    """Until the end of the block, in `graphs` and in other modules that trace."""
     traces = Traces(graphs.traced)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(graphs, "traced", traces)
-        patch.setattr(recover, "traced", traces)
+        for user in (graphs, *users):
+            patch.setattr(user, "traced", traces)
         yield traces
