@@ -188,8 +188,9 @@ def test_a_run_recovered_from_a_bundle_gives_the_same_bundle(
     recover(bundle, "tiny", vaes, tmp_path / "run")
     # The exporter itself must give the same bytes twice; and with the other base of guidance, so that the whole
     # pipeline is held against torch for both.
-    assert traces.forget(*ONE_OF_A_KIND) == len(ONE_OF_A_KIND)
-    export_bundle(tmp_path / "run", ASSETS, replace(CARD, guidance_base="empty"), tmp_path / "again", "fp32")
+    with traces.anew(*ONE_OF_A_KIND) as traced:
+        export_bundle(tmp_path / "run", ASSETS, replace(CARD, guidance_base="empty"), tmp_path / "again", "fp32")
+    assert traced == set(ONE_OF_A_KIND)
     first, again = (json.loads((folder / "manifest.json").read_bytes()) for folder in (bundle, tmp_path / "again"))
     assert first["files"] == again["files"]
 

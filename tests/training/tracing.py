@@ -24,8 +24,13 @@ class Traces:
     def __init__(self, trace: Callable[[nn.Module, GraphContract, int], onnx.ModelProto]) -> None:
         self._trace = trace
         self._known: dict[Key, onnx.ModelProto] = {}
+        self._anew: frozenset[str] = frozenset()
+        self._done: set[str] = set()
 
     def __call__(self, module: nn.Module, contract: GraphContract, frames_per_token: int) -> onnx.ModelProto:
+        if contract.name in self._anew:
+            self._done.add(contract.name)
+            return self._trace(module, contract, frames_per_token)
         digest = hashlib.sha256(repr(module).encode())
         for value in [*module.parameters(), *module.buffers()]:
             digest.update(value.detach().numpy().tobytes())
@@ -34,11 +39,12 @@ class Traces:
             self._known[key] = self._trace(module, contract, frames_per_token)
         return copy.deepcopy(self._known[key])  # what is made of it changes it
 
-    def forget(self, *names: str) -> int:
-        """The graphs of these names are traced anew; returns how many of the names were known."""
-        gone = {key for key in self._known if key[0].name in names}
-        self._known = {key: model for key, model in self._known.items() if key not in gone}
-        return len({contract.name for contract, *_ in gone})
+    @contextmanager
+    def anew(self, *names: str) -> Iterator[set[str]]:
+        """In the block, graphs of these names are traced whatever is known; gives the names that were."""
+        self._anew, self._done = frozenset(names), set()
+        yield self._done
+        self._anew = frozenset()
 
 
 @contextmanager
