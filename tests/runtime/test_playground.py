@@ -151,8 +151,12 @@ BAD: list[tuple[str, Any, str]] = [
     ("edit", {"graph": GRAPH, "edit": {"kind": "shell", "node": 1}}, "edit.kind must be"),
     ("edit", {"graph": GRAPH, "edit": {"kind": "argument", "node": 1, "text": "x", "role": "Z"}}, "role"),
     ("clip", {"seed": 1}, "text"),
-    ("clip", {"text": TEXT, "graph": GRAPH, "concepts": []}, "either concepts or a sentence"),
+    ("clip", {"text": TEXT, "graph": GRAPH, "concepts": []}, "either concepts or the graph"),
     ("clip", {"text": TEXT, "method": "fused"}, "method is for concepts"),
+    ("clip", {"text": TEXT, "lambdas": "0,0,1"}, "lambdas is for concepts"),
+    ("clip", {"graph": GRAPH, "agd": "0.2,0.2"}, "agd is for concepts"),
+    ("clip", {"concepts": [], "lambdas": "a,b,c"}, "lambdas: 'a,b,c' is not a number"),
+    ("clip", {"concepts": [], "agd": "much"}, "agd: 'much' is not a number"),
     ("clip", {"text": TEXT, "steps": "many"}, "steps: 'many' is not a number"),
     ("clip", {"text": TEXT, "on_step": "x"}, "unknown 'on_step'"),
     ("clip", {"concepts": [{"text": TEXT, "weight": "heavy"}]}, "weight"),
@@ -172,14 +176,47 @@ def test_bad_requests_are_told_what_is_wrong(server: Playing, call: str, value: 
     assert message in answer.json["error"] and "\n" not in answer.json["error"]
 
 
+def refusal(server: Playing, wish: object) -> str:
+    """What the last event of a clip that cannot be says."""
+    last = server.clip(wish)[-1]
+    assert last["event"] == "error"
+    return str(last["message"])
+
+
 @pytest.mark.parametrize(
     ("changes", "message"), [({"seconds": 90}, "seconds"), ({"seed": -1}, "seed"), ({"foot_fix": "x"}, "foot_fix")]
 )
 def test_what_the_model_does_not_take_ends_the_stream_with_its_message(
     server: Playing, changes: dict[str, Any], message: str
 ) -> None:
-    last = server.clip({**WISH, **changes})[-1]
-    assert last["event"] == "error" and message in last["message"]
+    assert message in refusal(server, {**WISH, **changes})
+
+
+@pytest.mark.parametrize(
+    ("changes", "flags"),
+    [
+        ({"lambdas": "0.5,0.4,0.2"}, ["--lambdas", "0.5,0.4,0.2"]),
+        ({"lambdas": "0.5"}, ["--lambdas", "0.5"]),
+        ({"lambdas": "2,-1,0"}, ["--lambdas", "2,-1,0"]),
+        ({"lambdas": "nan,0,1"}, ["--lambdas", "nan,0,1"]),
+        ({"lambdas": "0,0,1", "method": "latent"}, ["--lambdas", "0,0,1", "--method", "latent"]),
+        ({"text": "a person bows", "method": "semantic"}, ["--text", "a person bows", "--method", "semantic"]),
+        ({"text": " "}, ["--text", " "]),
+        ({"agd": "3,0.2"}, ["--agd", "3,0.2"]),
+        ({"agd": "0.2"}, ["--agd", "0.2"]),
+        ({"method": "melted"}, ["--method", "melted"]),
+    ],
+)
+def test_compositions_are_refused_in_the_words_of_the_command_line(
+    server: Playing, changes: dict[str, Any], flags: list[str], capsys: pytest.CaptureFixture[str], here: Path
+) -> None:
+    message = refusal(server, {"concepts": [{"text": "a person walks"}], **changes})
+    assert message and message in fails(capsys, "compose", "--and", "a person walks", *flags, "-o", "x.npz")
+    assert list(here.iterdir()) == []
+
+
+def test_no_concepts_are_called_that(server: Playing) -> None:
+    assert refusal(server, {"concepts": []}) == "a composition has 1 to 8 concepts, not 0"
 
 
 def test_a_clip_comes_with_its_graph_its_steps_and_the_time_of_each_stage(
@@ -232,6 +269,27 @@ def test_concepts_give_the_clip_of_compose(server: Playing, here: Path) -> None:
     flags = [*FLAGS, "--seed", str(2**62 + 1), "--method", "latent"]
     assert cli.main(["compose", "--and", "a person walks", "--not", "a person runs:0.5", *flags, "-o", "x.npz"]) == 0
     assert answer.body == (here / "x.npz").read_bytes()
+
+
+@pytest.mark.parametrize(
+    ("changes", "flags"),
+    [
+        ({"lambdas": "0.1,0.7,0.2"}, ["--lambdas", "0.1,0.7,0.2"]),
+        ({"lambdas": [0.1, 0.7, 0.2]}, ["--lambdas", "0.1,0.7,0.2"]),
+        ({"agd": "0.2,0.1"}, ["--agd", "0.2,0.1"]),
+        ({"agd": [0.2, 0.1], "method": "semantic"}, ["--agd", "0.2,0.1", "--method", "semantic"]),
+        ({"text": "a person walks while waving"}, ["--text", "a person walks while waving"]),
+    ],
+)
+def test_how_concepts_are_mixed_is_that_of_compose(
+    server: Playing, here: Path, changes: dict[str, Any], flags: list[str]
+) -> None:
+    wish = {"concepts": [{"text": "a person walks"}, {"text": "a person waves"}], "seed": 7, "seconds": 2, "steps": 3}
+    answer = server.post("/api/file", {"wish": {**wish, **changes}, "suffix": ".npz"})
+    words = ["--and", "a person walks", "--and", "a person waves"]
+    assert cli.main(["compose", *words, *FLAGS, *flags, "-o", "x.npz"]) == 0
+    assert answer.body == (here / "x.npz").read_bytes()
+    assert answer.body != server.post("/api/file", {"wish": wish, "suffix": ".npz"}).body
 
 
 def test_adding_and_hiding_change_the_graph(server: Playing) -> None:
