@@ -32,7 +32,7 @@ def picture(browser: Browser, url: str, name: str, size: tuple[int, int], scheme
     if made:
         page.get_by_role("button", name="Generate").click()
         page.wait_for_selector("html[data-made]", state="attached")
-        page.locator("summary").first.click()  # the settings, which the link has opened
+        page.locator(".sampling summary").click()  # the settings, which the link has opened
     page.locator(".scrub").fill(str(at))
     page.locator("h1").click()
     page.wait_for_timeout(1000)

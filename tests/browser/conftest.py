@@ -7,7 +7,10 @@ from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
 
 import pytest
-from browsing import Open
+from browsing import TEXT, Open
+from playing import Playing, playing
+
+from kinegraph import MotionPipeline
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, Page
@@ -26,6 +29,21 @@ def browser() -> Iterator[Browser]:
         found = driver.chromium.launch(executable_path=program, args=FLAGS)
         yield found
         found.close()
+
+
+@pytest.fixture(scope="module")
+def pipe() -> MotionPipeline:
+    pytest.importorskip("spacy")
+    found = MotionPipeline.load(threads=1)
+    found.parse(TEXT)
+    return found
+
+
+@pytest.fixture(scope="module")
+def server(pipe: MotionPipeline) -> Iterator[Playing]:
+    pytest.importorskip("uvicorn")
+    with playing(pipe) as found:
+        yield found
 
 
 @pytest.fixture
