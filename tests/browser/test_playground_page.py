@@ -1,4 +1,4 @@
-"""The playground in a browser: sentence in, clip on the screen, coarse first, the command line's files, and cancelling."""
+"""The playground in a browser: sentence in, clip on the screen, coarse first; the command line's files; cancelling."""
 
 from __future__ import annotations
 
