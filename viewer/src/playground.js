@@ -126,12 +126,12 @@ export function openPlayground(side, play, stage, transport) {
     let [begun, complete] = [changes, false];
     const drawn = async (clip, what) => {
       const actor = await show(clip, !begun);
-      if (!actor) return;
+      if (!actor) return null;
       begun = true;
-      if (what === "clip") [newest, shown] = [clip, actor];
       // a hidden tab draws nothing, and would wait for ever
       if (!document.hidden) await new Promise(requestAnimationFrame);
-      seen[what] ??= performance.now() - pressed;
+      if (front === actor) seen[what] ??= performance.now() - pressed; // else it was overtaken before it was drawn
+      return actor;
     };
     fail(null);
     busy(true);
@@ -146,11 +146,14 @@ export function openPlayground(side, play, stage, transport) {
         }
         if (event.event === "error") throw new Error(event.message);
         if (event.event === "level") {
-          drawn({ ...event.clip, label: `Sketch of the ${LEVELS[event.level]}` }, "sketch").catch(fail); // the rest comes on meanwhile
+          const sketch = { ...event.clip, label: `Sketch of the ${LEVELS[event.level]}` };
+          drawn(sketch, "sketch").catch(fail); // not waited for: what follows may overtake it
         }
         if (event.event === "clip") {
-          await drawn({ ...event.clip, label: named(event.clip, asked) }, "clip");
-          complete = true;
+          const clip = { ...event.clip, label: named(event.clip, asked) };
+          const actor = await drawn(clip, "clip");
+          if (own.signal.aborted) return;
+          [newest, shown, complete] = [clip, actor, true];
           last = { ...asked, seed: event.clip.seed };
           result.show(event, last, seen);
           document.documentElement.dataset.made = Number(document.documentElement.dataset.made ?? 0) + 1;
@@ -163,8 +166,10 @@ export function openPlayground(side, play, stage, transport) {
       if (run === own) {
         run = null;
         if (!complete) await goBack();
-        say("");
-        busy(false);
+        if (!run) {
+          say("");
+          busy(false);
+        } // else another has begun meanwhile
       }
     }
   }
