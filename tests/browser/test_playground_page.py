@@ -29,6 +29,7 @@ def test_a_sentence_becomes_a_clip_with_its_graph_and_its_latencies(open_page: O
     assert changed(shown(page, 0.5), shown(page, 2.0)) > 0.01
     assert page.locator(".graph .words").all_text_contents()[0] == "walks"
     assert "3.0 s, 60 frames" in page.locator(".facts").inner_text()
+    assert page.locator(".clock").inner_text() == "2.0 / 3.0 s"
     stages = page.locator(".stages dt").all_text_contents()
     assert stages[0] == "parser" and stages[-1] == "clip seen after" and len(stages) in (8, 9)
 
