@@ -29,6 +29,8 @@ from kinegraph.sessions import available_cpus
 from kinegraph_export.graphs import Precision
 
 PUBLISHED, PLAIN = "published, eager torch", "published, plain ONNX export"
+PUBLISHED_STEPS = (15, 15, 20)
+"""Of GraphMotion's levels."""
 
 
 def composed(denoisers: Denoisers, concepts: paper_size.Task) -> Arm:
@@ -39,7 +41,8 @@ def composed(denoisers: Denoisers, concepts: paper_size.Task) -> Arm:
 
 def arms(quick: bool) -> tuple[dict[str, Arm], dict[str, Arm]]:
     """Of the comparison, and of composition."""
-    options = generate_options(read_bundle(None).manifest, seconds=4, seed=1, steps=(2, 2, 2) if quick else None)
+    steps = (2, 2, 2) if quick else PUBLISHED_STEPS
+    options = generate_options(read_bundle(None).manifest, seconds=4, seed=1, steps=steps)
     task, concepts = paper_size.paper_task(GRAPH, options), paper_size.paper_task(GRAPH, options, copies=4)
     cpus = available_cpus()
     torch.set_num_threads(cpus)

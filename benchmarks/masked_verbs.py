@@ -21,9 +21,8 @@ from takes import Model, folder_of, generated
 from written import written
 
 from kinegraph.bundle import DEFAULT_BUNDLE
-from kinegraph.edits import masked
-from kinegraph.graph import SemanticGraph
 from kinegraph.text.parser import GraphParser, read_parser
+from kinegraph_training.caption_graphs import without_verbs
 from kinegraph_training.data import MotionClip, read_split
 
 PREDICATES: dict[str, p.Predicate] = {
@@ -31,13 +30,6 @@ PREDICATES: dict[str, p.Predicate] = {
     **{f"{verb}-{side}-hand": p.swings(side) for verb in ("raise-up", "wave") for side in ("left", "right")},
     **{f"{verb}-both-hands": p.swings("both") for verb in ("raise-up", "wave")},
 }
-
-
-def without_verbs(graph: SemanticGraph) -> SemanticGraph:
-    """The graph of the same caption with every action's text masked; all nodes and edges stay."""
-    for number in range(1, len(graph.actions) + 1):
-        graph = masked(graph, number)
-    return graph
 
 
 class Masked:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -16,7 +17,13 @@ from kinegraph_training import denoiser_batches  # noqa: E402
 from kinegraph_training.config import OptimiserConfig  # noqa: E402
 from kinegraph_training.data import MotionClip  # noqa: E402
 from kinegraph_training.dataset import Dataset  # noqa: E402
-from kinegraph_training.denoiser_batches import COARSE_NOISE, DenoiserBatch, DenoiserBatches, thinned  # noqa: E402
+from kinegraph_training.denoiser_batches import (  # noqa: E402
+    COARSE_NOISE,
+    MASK_VERBS,
+    DenoiserBatch,
+    DenoiserBatches,
+    thinned,
+)
 from kinegraph_training.latents import Latents  # noqa: E402
 from kinegraph_training.models.denoiser import DenoiserConfig, LatentShape  # noqa: E402
 from kinegraph_training.models.graph_encoder import GraphEncoder  # noqa: E402
@@ -55,7 +62,15 @@ class Captions:
         return {"small": SMALL, "large": LARGE}[caption]
 
 
-def batches(*, augment: bool, seed: int = 0) -> DenoiserBatches:
+class Masked:
+    """The same two with other features, to be told apart by."""
+
+    def get(self, caption: str) -> GraphArrays:
+        known = Captions().get(caption)
+        return replace(known, nodes=np.full_like(known.nodes, 7.0))
+
+
+def batches(*, augment: bool, seed: int = 0, masked: object = None) -> DenoiserBatches:
     """Clip 0 has the small graph and 40 frames, clip 1 the large one and 60."""
     clips = [
         MotionClip(name, np.zeros((frames, 22, 3), dtype=np.float32), (name,), "", "")
@@ -70,7 +85,9 @@ def batches(*, augment: bool, seed: int = 0) -> DenoiserBatches:
                        torch.ones(shape))
         for level, shape in SHAPES.items()
     }  # fmt: skip
-    return DenoiserBatches(dataset, latents, Captions(), seed=seed, augment=augment)  # type: ignore[arg-type]
+    known: Any = Captions()
+    other: Any = masked
+    return DenoiserBatches(dataset, latents, known, seed=seed, augment=augment, masked=other)
 
 
 @pytest.fixture(scope="module")
@@ -97,6 +114,13 @@ def test_the_coarser_latent_is_noisy_in_training_and_the_target_is_not(many: Den
         assert float(added.mean().abs()) < 0.01
         assert float(added.square().mean()) == pytest.approx(COARSE_NOISE**2 / 3, rel=0.1)
         assert float(added.pow(4).mean() / added.square().mean() ** 2) == pytest.approx(5.4, rel=0.15)
+
+
+def test_some_samples_have_their_verbs_masked_in_training_only() -> None:
+    found = batches(augment=True, masked=Masked())([0, 1] * 2000)
+    told = (found.graph.nodes[:, 0] == 7.0).all(dim=1)
+    assert float(told.double().mean()) == pytest.approx(MASK_VERBS, abs=0.02)
+    assert not (batches(augment=False, masked=Masked())([0, 1] * 20).graph.nodes == 7.0).any()
 
 
 def test_a_tenth_loses_its_text_and_many_the_coarser_latent(many: DenoiserBatch) -> None:

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from tqdm import tqdm
 
 from kinegraph.conditions import GraphArrays, graph_arrays
+from kinegraph.edits import masked
 from kinegraph.errors import InvalidInputError
 from kinegraph.graph import SemanticGraph
 from kinegraph.text.parser import read_parser
@@ -98,15 +99,25 @@ class CaptionGraphs:
         )
 
 
-def encode_captions(captions: Sequence[str], assets: Path, cache: Path) -> CaptionGraphs:
-    """Encode distinct captions, or read them back if `cache` holds exactly these."""
+def without_verbs(graph: SemanticGraph) -> SemanticGraph:
+    """The graph of the same caption with every action's text masked; nodes and edges stay (GraphMotion, Table 6)."""
+    for number in range(1, len(graph.actions) + 1):
+        graph = masked(graph, number)
+    return graph
+
+
+def encode_captions(captions: Sequence[str], assets: Path, cache: Path, *, verbs_masked: bool = False) -> CaptionGraphs:
+    """Encode distinct captions, or read them back if `cache` holds exactly these; `verbs_masked`: see
+    `without_verbs`, each under the caption as it is."""
     distinct = sorted(set(captions))
     if cache.is_file():
         with np.load(cache, allow_pickle=False) as stored:
             if stored["captions"].tolist() == distinct:
                 return _unpacked(dict(stored))
     encoder = CaptionEncoder(assets)
-    graphs = [encoder(caption) for caption in tqdm(distinct, desc="captions", unit="caption")]
+    parsed = (encoder.parser.parse(caption) for caption in distinct)
+    shown = (without_verbs(graph) if verbs_masked else graph for graph in parsed)
+    graphs = [encoder(graph) for graph in tqdm(shown, desc="captions", unit="caption", total=len(distinct))]
     packed = {
         "captions": np.array(distinct),
         "offsets": np.cumsum([0] + [len(graph.kind) for graph in graphs]),

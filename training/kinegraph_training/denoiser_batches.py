@@ -27,6 +27,8 @@ mistakes too (R@1 after 2,500 steps: .83 copying, .92 so, .95 with a single leve
 HIDE_MOTION = 0.3
 """The motion node holds the whole caption, edited words included: without this, edits would be ignored."""
 DROP_ACTION, DROP_SPECIFIC = 0.05, 0.1
+MASK_VERBS = 0.15
+"""Share of samples whose verbs the text encoder was not told: what is left must steer too (GraphMotion, Table 6)."""
 COARSE_NOISE = 0.6
 """Largest noise added to the coarser latent, which is clean in training and generated at run time."""
 
@@ -79,7 +81,8 @@ def thinned(graph: GraphArrays, rng: np.random.Generator) -> tuple[GraphArrays, 
 
 
 class DenoiserBatches:
-    """Collates clip numbers into batches; `augment` is for training only."""
+    """Collates clip numbers into batches; `augment` is for training only, `masked` are the same captions' graphs with
+    their verbs masked."""
 
     def __init__(
         self,
@@ -89,8 +92,10 @@ class DenoiserBatches:
         *,
         seed: int,
         augment: bool,
+        masked: CaptionGraphs | None = None,
     ) -> None:
         self.dataset, self.latents, self.graphs, self.augment = dataset, latents, graphs, augment
+        self.masked = masked
         self.rng = np.random.Generator(np.random.PCG64(seed))
         self.generator = torch.Generator().manual_seed(seed)
 
@@ -108,7 +113,7 @@ class DenoiserBatches:
         for number in numbers:
             captions = self.dataset.clips[number].captions
             chosen = int(self.rng.integers(len(captions))) if self.augment else 0
-            graph = self.graphs.get(captions[chosen])
+            graph = self._source().get(captions[chosen])
             left = np.ones(len(graph.kind), dtype=bool)
             if self.augment:
                 graph, left = thinned(graph, self.rng)
@@ -127,6 +132,12 @@ class DenoiserBatches:
             order[row, :size] = torch.from_numpy(graph.order)
             bias[row, :size] = torch.from_numpy(np.where(left, 0.0, PADDING_BIAS)).float()
         return GraphBatch(kind=kind, order=order, **arrays), bias
+
+    def _source(self) -> CaptionGraphs | CaptionStates:
+        """Of one sample's graph: now and then the masked ones."""
+        if self.augment and self.masked is not None and self.rng.random() < MASK_VERBS:
+            return self.masked
+        return self.graphs
 
     def _noisy(self, latent: Tensor) -> Tensor:
         if not self.augment:

@@ -148,10 +148,13 @@ def batches(arguments: argparse.Namespace, preset: Preset) -> tuple[DataLoader, 
     val = validation_set(arguments.data, "val", preset.data, train.mean, train.std)
     captions = [caption for clip in train.clips + val.clips for caption in clip.captions]
     graphs: CaptionGraphs | CaptionStates
+    masked: CaptionGraphs | None = None
     if preset.denoiser.condition == "tokens":
         graphs = caption_states(captions, arguments.assets, arguments.run / "states.npz")
     else:
         graphs = encode_captions(captions, arguments.assets, arguments.run / "captions.npz")
+        trained_on = [caption for clip in train.clips for caption in clip.captions]
+        masked = encode_captions(trained_on, arguments.assets, arguments.run / "captions_masked.npz", verbs_masked=True)
     write_tables(arguments.run, measured(train, graphs))
     known = cached_latents(arguments.run, train, arguments.run / "latents.pt")
     latents = {level: known[level] for level in preset.denoiser.levels}
@@ -161,7 +164,7 @@ def batches(arguments: argparse.Namespace, preset: Preset) -> tuple[DataLoader, 
         val_latents[level] = Latents(*posterior, own.centre, own.scale)
     config = preset.denoiser_training
     sampler = WeightedRandomSampler(clip_weights(train.clips, preset.data), 200 * config.batch)
-    collate = DenoiserBatches(train, latents, graphs, seed=preset.seed, augment=True)
+    collate = DenoiserBatches(train, latents, graphs, seed=preset.seed, augment=True, masked=masked)
     check = DenoiserBatches(val, val_latents, graphs, seed=preset.seed, augment=False)
     numbers: Any = range(len(train.clips))
     val_numbers: Any = range(len(val.clips))

@@ -1,0 +1,42 @@
+"""Captions encoded for training: kept, read back, and once more without their verbs."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+pytest.importorskip("torch")
+pytest.importorskip("spacy")
+
+from kinegraph.bundle import DEFAULT_BUNDLE
+from kinegraph_training import caption_graphs
+from kinegraph_training.caption_graphs import CaptionEncoder, encode_captions
+
+pytestmark = pytest.mark.skipif(not (DEFAULT_BUNDLE / "parser.bin").is_file(), reason="no default bundle")
+
+CAPTIONS = ["a person walks and turns left", "someone bows", "a person runs and turns left"]
+
+
+def test_what_was_encoded_is_read_back(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    cache = tmp_path / "captions.npz"
+    first = encode_captions(CAPTIONS, DEFAULT_BUNDLE, cache)
+    monkeypatch.setattr(caption_graphs, "CaptionEncoder", lambda folder: pytest.fail("encoded again"))
+    again = encode_captions([*CAPTIONS, CAPTIONS[0]], DEFAULT_BUNDLE, cache)
+    for caption in CAPTIONS:
+        np.testing.assert_array_equal(again.get(caption).nodes, first.get(caption).nodes)
+        np.testing.assert_array_equal(again.get(caption).relation, first.get(caption).relation)
+
+
+def test_masked_captions_keep_their_graph_and_tell_no_verb(tmp_path: Path) -> None:
+    whole = encode_captions(CAPTIONS, DEFAULT_BUNDLE, tmp_path / "whole.npz")
+    masked = encode_captions(CAPTIONS, DEFAULT_BUNDLE, tmp_path / "masked.npz", verbs_masked=True)
+    for caption in CAPTIONS:
+        np.testing.assert_array_equal(masked.get(caption).relation, whole.get(caption).relation)
+        assert np.abs(masked.get(caption).nodes - whole.get(caption).nodes).max() > 0.1
+    # two captions that differ in a verb alone are the same without verbs
+    walks, runs = (masked.get(CAPTIONS[place]).nodes for place in (0, 2))
+    np.testing.assert_array_equal(walks, runs)
+    told = CaptionEncoder(DEFAULT_BUNDLE)(CAPTIONS[0]).nodes
+    np.testing.assert_allclose(whole.get(CAPTIONS[0]).nodes, told, atol=2e-3)  # kept as float16
