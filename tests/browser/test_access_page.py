@@ -48,7 +48,7 @@ CONTRASTS = """() => {
 
 
 @pytest.mark.parametrize("scheme", ["light", "dark"])
-@pytest.mark.parametrize(("width", "height"), [(1280, 800), (390, 844)])
+@pytest.mark.parametrize(("width", "height"), [(1280, 800), (390, 844), (320, 700)])
 def test_labels_contrast_and_width(open_page: Open, server: Playing, scheme: str, width: int, height: int) -> None:
     page = open_page(server.url, width, height, color_scheme=scheme)
     generate(page, seconds="1", seed="1", steps="2")

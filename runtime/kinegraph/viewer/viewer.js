@@ -1,4 +1,4 @@
-/* kinegraph, Apache-2.0; sources sha256 bd6bd25d5eeec14d7d201cff64c3d84635cbd69989b9ab1fe55e495c4eafa246
+/* kinegraph, Apache-2.0; sources sha256 99f60a78f4395be733e96b18239f2ba2d38f028d053bfae112407b02bbf6f93a
 It contains three.js:
 
 The MIT License
