@@ -2,7 +2,7 @@
 
 from kinegraph import Concept, MotionPipeline
 
-pipe = MotionPipeline.load(threads=2)
+pipe = MotionPipeline.load()
 clip = pipe.compose(
     [Concept("a person walks forward"), Concept("a person waves the right hand"), Concept("a person runs", -0.3)],
     seconds=4,

@@ -15,7 +15,7 @@ def turn(clip: Clip) -> float:
     return float(np.degrees(heading[-1] - heading[0]))
 
 
-pipe = MotionPipeline.load(threads=2)
+pipe = MotionPipeline.load()
 graph = pipe.parse("a tired person walks and turns to the right")
 print("parts:", [node.text for node in graph.nodes])
 for weight in (0.3, 0.6, 1.0):

@@ -2,7 +2,7 @@
 
 from kinegraph import MotionPipeline
 
-pipe = MotionPipeline.load(threads=2)  # once; any number of threads may share it
+pipe = MotionPipeline.load()  # once; any number of threads may share it
 clip = pipe.generate("a person walks forward", seconds=4, seed=7)
 clip.save("walk.glb", force=True)
 print(f"{clip.frames} frames at {clip.fps:g} per second, seed {clip.seed}")

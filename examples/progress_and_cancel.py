@@ -4,7 +4,7 @@ import time
 
 from kinegraph import Cancelled, MotionPipeline, StepInfo
 
-pipe = MotionPipeline.load(threads=2)
+pipe = MotionPipeline.load()
 
 
 def show(step: StepInfo) -> bool:

@@ -17,6 +17,7 @@ _FIGURES: Final = pytest.StashKey[list[str]]()
 @pytest.fixture(scope="module")
 def pipe() -> MotionPipeline:
     """The default bundle, its parser loaded."""
+    pytest.importorskip("spacy")
     found = MotionPipeline.load(threads=1)
     found.parse(TEXT)
     return found
@@ -25,6 +26,7 @@ def pipe() -> MotionPipeline:
 @pytest.fixture(scope="module")
 def server(pipe: MotionPipeline) -> Iterator[Playing]:
     """Its playground."""
+    pytest.importorskip("uvicorn")
     with playing(pipe) as found:
         yield found
 

@@ -30,9 +30,10 @@ def picture(browser: Browser, url: str, name: str, size: tuple[int, int], scheme
     page.goto(url)
     page.wait_for_selector("html[data-ready]", state="attached")
     if made:
-        page.get_by_role("button", name="Generate").click()
-        page.wait_for_selector("html[data-made]", state="attached")
-        page.locator("summary").first.click()  # the settings, which the link has opened
+        for press in (1, 2):  # the first also prepares what draws
+            page.get_by_role("button", name="Generate").click()
+            page.wait_for_selector(f"html[data-made='{press}']", state="attached")
+        page.locator(".sampling summary").click()  # the settings, which the link has opened
     page.locator(".scrub").fill(str(at))
     page.locator("h1").click()
     page.wait_for_timeout(1000)

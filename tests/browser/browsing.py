@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import time
 from collections.abc import Callable
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -15,6 +16,8 @@ if TYPE_CHECKING:
 
 Open = Callable[..., "Page"]
 """The fixture `open_page`: an address, a width, a height, and options of the browser's context -> the page."""
+
+TEXT = "a person walks forward and turns to the left"
 
 
 def wait_until(page: Page, holds: Callable[[], bool], seconds: float = 30) -> None:
@@ -43,3 +46,31 @@ def changed(one: bytes, other: bytes) -> float:
     image = pytest.importorskip("PIL.Image")
     first, second = (np.asarray(image.open(io.BytesIO(data)).convert("RGB"), dtype=int) for data in (one, other))
     return float((np.abs(first - second).max(axis=-1) > 24).mean())
+
+
+def settings(page: Page, **values: str) -> None:
+    """Fill in length, seed, guidance and steps."""
+    if not page.get_by_label("Seconds").is_visible():
+        page.get_by_text("Length, seed, steps").click()
+    for name, value in values.items():
+        page.get_by_label(name.capitalize()).fill(value)
+
+
+def made(page: Page) -> int:
+    return int(page.locator("html").get_attribute("data-made") or 0)
+
+
+def generate(page: Page, text: str = TEXT, **values: str) -> None:
+    """Ask for a clip and wait until it is there."""
+    before = made(page)
+    page.get_by_label("What should the person do?").fill(text)
+    settings(page, **values)
+    page.get_by_role("button", name="Generate").click()
+    wait_until(page, lambda: made(page) > before)
+
+
+def download(page: Page, suffix: str) -> bytes:
+    with page.expect_download(timeout=60_000) as waiting:
+        page.locator(f"[data-suffix='{suffix}']").click()
+    assert waiting.value.suggested_filename == f"clip{suffix}"
+    return Path(waiting.value.path()).read_bytes()

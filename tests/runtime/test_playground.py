@@ -83,6 +83,27 @@ def test_concepts_give_the_clip_of_compose(server: Playing, here: Path) -> None:
     assert answer.body == (here / "x.npz").read_bytes()
 
 
+@pytest.mark.parametrize(
+    ("changes", "flags"),
+    [
+        ({"lambdas": "0.1,0.7,0.2"}, ["--lambdas", "0.1,0.7,0.2"]),
+        ({"lambdas": [0.1, 0.7, 0.2]}, ["--lambdas", "0.1,0.7,0.2"]),
+        ({"agd": "0.2,0.1"}, ["--agd", "0.2,0.1"]),
+        ({"agd": [0.2, 0.1], "method": "semantic"}, ["--agd", "0.2,0.1", "--method", "semantic"]),
+        ({"text": "a person walks while waving"}, ["--text", "a person walks while waving"]),
+    ],
+)
+def test_how_concepts_are_mixed_is_that_of_compose(
+    server: Playing, here: Path, changes: dict[str, Any], flags: list[str]
+) -> None:
+    wish = {"concepts": [{"text": "a person walks"}, {"text": "a person waves"}], "seed": 7, "seconds": 2, "steps": 3}
+    answer = server.post("/api/file", {"wish": {**wish, **changes}, "suffix": ".npz"})
+    words = ["--and", "a person walks", "--and", "a person waves"]
+    assert cli.main(["compose", *words, *FLAGS, *flags, "-o", "x.npz"]) == 0
+    assert answer.body == (here / "x.npz").read_bytes()
+    assert answer.body != server.post("/api/file", {"wish": wish, "suffix": ".npz"}).body
+
+
 def test_adding_and_hiding_change_the_graph(server: Playing) -> None:
     graph = server.post("/api/parse", {"text": "a person walks"}).json
     for edit in (

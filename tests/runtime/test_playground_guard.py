@@ -5,10 +5,11 @@ from __future__ import annotations
 import os
 import sys
 import threading
+from pathlib import Path
 from typing import Any
 
 import pytest
-from cli_runs import whole
+from cli_runs import fails, whole
 from playing import TEXT, WISH, Playing
 
 pytest.importorskip("spacy")
@@ -120,8 +121,12 @@ BAD: list[tuple[str, Any, str]] = [
     ("edit", {"graph": GRAPH, "edit": {"kind": "shell", "node": 1}}, "edit.kind must be"),
     ("edit", {"graph": GRAPH, "edit": {"kind": "argument", "node": 1, "text": "x", "role": "Z"}}, "role"),
     ("clip", {"seed": 1}, "text"),
-    ("clip", {"text": TEXT, "graph": GRAPH, "concepts": []}, "either concepts or a sentence"),
+    ("clip", {"text": TEXT, "graph": GRAPH, "concepts": []}, "either concepts or the graph"),
     ("clip", {"text": TEXT, "method": "fused"}, "method is for concepts"),
+    ("clip", {"text": TEXT, "lambdas": "0,0,1"}, "lambdas is for concepts"),
+    ("clip", {"graph": GRAPH, "agd": "0.2,0.2"}, "agd is for concepts"),
+    ("clip", {"concepts": [], "lambdas": "a,b,c"}, "lambdas: 'a,b,c' is not a number"),
+    ("clip", {"concepts": [], "agd": "much"}, "agd: 'much' is not a number"),
     ("clip", {"text": TEXT, "steps": "many"}, "steps: 'many' is not a number"),
     ("clip", {"text": TEXT, "on_step": "x"}, "unknown 'on_step'"),
     ("clip", {"concepts": [{"text": TEXT, "weight": "heavy"}]}, "weight"),
@@ -141,14 +146,47 @@ def test_bad_requests_are_told_what_is_wrong(server: Playing, call: str, value: 
     assert message in answer.json["error"] and "\n" not in answer.json["error"]
 
 
+def refusal(server: Playing, wish: object) -> str:
+    """What the last event of a clip that cannot be says."""
+    last = server.clip(wish)[-1]
+    assert last["event"] == "error"
+    return str(last["message"])
+
+
 @pytest.mark.parametrize(
     ("changes", "message"), [({"seconds": 90}, "seconds"), ({"seed": -1}, "seed"), ({"foot_fix": "x"}, "foot_fix")]
 )
 def test_what_the_model_does_not_take_ends_the_stream_with_its_message(
     server: Playing, changes: dict[str, Any], message: str
 ) -> None:
-    last = server.clip({**WISH, **changes})[-1]
-    assert last["event"] == "error" and message in last["message"]
+    assert message in refusal(server, {**WISH, **changes})
+
+
+@pytest.mark.parametrize(
+    ("changes", "flags"),
+    [
+        ({"lambdas": "0.5,0.4,0.2"}, ["--lambdas", "0.5,0.4,0.2"]),
+        ({"lambdas": "0.5"}, ["--lambdas", "0.5"]),
+        ({"lambdas": "2,-1,0"}, ["--lambdas", "2,-1,0"]),
+        ({"lambdas": "nan,0,1"}, ["--lambdas", "nan,0,1"]),
+        ({"lambdas": "0,0,1", "method": "latent"}, ["--lambdas", "0,0,1", "--method", "latent"]),
+        ({"text": "a person bows", "method": "semantic"}, ["--text", "a person bows", "--method", "semantic"]),
+        ({"text": " "}, ["--text", " "]),
+        ({"agd": "3,0.2"}, ["--agd", "3,0.2"]),
+        ({"agd": "0.2"}, ["--agd", "0.2"]),
+        ({"method": "melted"}, ["--method", "melted"]),
+    ],
+)
+def test_compositions_are_refused_in_the_words_of_the_command_line(
+    server: Playing, changes: dict[str, Any], flags: list[str], capsys: pytest.CaptureFixture[str], here: Path
+) -> None:
+    message = refusal(server, {"concepts": [{"text": "a person walks"}], **changes})
+    assert message and message in fails(capsys, "compose", "--and", "a person walks", *flags, "-o", "x.npz")
+    assert list(here.iterdir()) == []
+
+
+def test_no_concepts_are_called_that(server: Playing) -> None:
+    assert refusal(server, {"concepts": []}) == "a composition has 1 to 8 concepts, not 0"
 
 
 def test_nothing_is_written_and_nothing_asked_of_the_network(server: Playing) -> None:

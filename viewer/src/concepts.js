@@ -11,15 +11,18 @@ export function createConcepts(list, add, onchange) {
     const slider = element("input", { type: "range", min: -LIMIT, max: LIMIT, step: 0.05, value: weight, "aria-label": "Weight" });
     const say = () => {
       const value = slider.valueAsNumber;
-      out.textContent = value < 0 ? `not ×${-value}` : `×${value}`;
+      out.textContent = value < 0 ? `not ×${-value}` : value ? `×${value}` : "left out";
       out.classList.toggle("not", value < 0);
     };
     slider.addEventListener("input", say);
     slider.addEventListener("change", onchange);
     const item = element("li", {}, words, slider, out);
     const remove = () => {
+      const near = item.nextElementSibling ?? item.previousElementSibling;
       item.remove();
       add.disabled = false;
+      (near?.querySelector("input") ?? add).focus();
+      if (words.value.trim()) onchange();
     };
     item.append(element("button", { type: "button", class: "quiet", title: "Delete", "aria-label": "Delete this concept", onclick: remove }, "✕"));
     say();
@@ -30,11 +33,11 @@ export function createConcepts(list, add, onchange) {
   add.addEventListener("click", () => row().focus());
 
   return {
-    /** Those that say something. */
+    /** Those that say something and count. */
     get() {
       return [...list.children]
         .map((item) => ({ text: item.querySelector("input").value.trim(), weight: item.querySelector("[type=range]").valueAsNumber }))
-        .filter(({ text }) => text);
+        .filter(({ text, weight }) => text && weight);
     },
     set(concepts) {
       list.replaceChildren();

@@ -1,11 +1,22 @@
 // What stands beside clips that are in the page: caption, facts, graph.
 import { element } from "./elements.js";
-import { drawGraph } from "./graph.js";
+import { drawGraph, nodesOf } from "./graph.js";
 
 /** "4.0 s, 80 frames at 20 per second, seed 7, edge 0.2.0". */
 export function facts(clip) {
   const seconds = (clip.frames / clip.fps).toFixed(1);
   return `${seconds} s, ${clip.frames} frames at ${clip.fps} per second, seed ${clip.seed}, ${clip.bundle}`;
+}
+
+/** What a clip was made of, in a line that tells it from others: its sentence, weights, negations, method and seed. */
+export function named(clip, { graph, concepts, method, lambdas, agd }) {
+  const parts = concepts ?? (graph ? nodesOf(graph) : []);
+  const weighed = parts.filter(({ weight }) => weight !== 1);
+  const said = weighed.map(({ text, weight }) => (weight < 0 ? `not ${text} ×${-weight}` : `${text} ×${weight}`));
+  if (concepts && method !== "fused") said.push(method);
+  if (lambdas) said.push(`shares ${lambdas}`);
+  if (agd) said.push(`AGD ${agd}`);
+  return [clip.text, ...said, `seed ${clip.seed}`].join(", ");
 }
 
 export function describeClips(side, clips) {

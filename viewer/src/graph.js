@@ -9,7 +9,7 @@ const ROLES = {
 };
 
 /** All nodes in the order of their numbers: actions from 1, then the specifics. */
-function nodesOf(graph) {
+export function nodesOf(graph) {
   return [...graph.actions, ...graph.actions.flatMap((action) => action.arguments)];
 }
 
@@ -54,7 +54,8 @@ function words(text) {
 
 function row(node, number, role, edit) {
   const code = node.role ?? "ARGM-MA";
-  const head = [element("span", { class: "role", title: code }, role), words(node.text)];
+  const said = edit ? renamed(node, number, edit) : words(node.text);
+  const head = [element("span", { class: "role", title: code }, role), said];
   const weight = element("output", {}, shown(node.weight));
   if (!edit) {
     const bar = element("span", { class: "weight", title: "weight of the edge" }, weight);
@@ -67,9 +68,40 @@ function row(node, number, role, edit) {
   });
   const button = (kind, sign, say) =>
     element("button", { type: "button", class: "quiet", title: say, "aria-label": say, onclick: () => edit.change({ kind, node: number }) }, sign);
-  const hide = node.text.includes(MASK) ? [] : [button("mask", "∅", `Hide the words ${node.text}`)];
-  const buttons = element("span", { class: "buttons" }, ...hide, button("drop", "✕", `Delete ${node.text}`));
+  const hide = button("mask", "∅", `Hide the words ${node.text}`);
+  hide.disabled = node.text.includes(MASK);
+  const buttons = element("span", { class: "buttons" }, hide, button("drop", "✕", `Delete ${node.text}`));
   return element("div", { class: "node edit" }, ...head, slider, weight, buttons);
+}
+
+/** A node's words as a button that becomes a field for other words. */
+function renamed(node, number, edit) {
+  const say = `Other words for ${node.text}`;
+  const show = element("button", { type: "button", class: "rename", title: "Other words", "aria-label": say, "data-node": number }, words(node.text));
+  const field = element("input", { "aria-label": say, maxlength: 100, value: node.text.replace(MASK, "").trim() });
+  let open = false;
+  const close = (focus) => {
+    if (!open) return;
+    open = false; // before the field goes, which is a blur, too
+    field.replaceWith(show);
+    if (focus) show.focus();
+  };
+  show.addEventListener("click", () => {
+    open = true;
+    show.replaceWith(field);
+    field.focus();
+    field.select();
+  });
+  field.addEventListener("blur", () => close(false));
+  field.addEventListener("keydown", (event) => {
+    if (event.key === "Escape") event.stopPropagation(); // it is not the run's Escape
+    else if (event.key !== "Enter") return;
+    event.preventDefault(); // nor the form's Enter
+    const text = field.value.trim();
+    close(true);
+    if (event.key === "Enter" && text && text !== node.text) edit.change({ kind: "replace", node: number, text });
+  });
+  return show;
 }
 
 function shown(weight) {
@@ -88,6 +120,6 @@ function adder(title, edit, fixed) {
     add();
   });
   const fields = fixed.kind === "argument" ? [role, text] : [text];
-  return element("details", {}, element("summary", {}, title), element("span", { class: "line" }, ...fields,
+  return element("details", {}, element("summary", { "data-add": fixed.node ?? "action" }, title), element("span", { class: "line" }, ...fields,
     element("button", { type: "button", class: "quiet", onclick: add }, "Add")));
 }

@@ -34,11 +34,19 @@ export function createGraphEditor(side, text, play, { again, fail }) {
   async function change(edit) {
     try {
       set(await api.edit(graph, edit), true);
+      focus(edit);
       fail(null);
       again();
     } catch (error) {
       fail(error);
     }
+  }
+
+  /** Where the keyboard goes on after an edit, as its own button is drawn anew. */
+  function focus({ kind, node }) {
+    const adding = { action: "action", argument: node }[kind];
+    const near = Math.min(node, box.querySelectorAll("[data-node]").length);
+    box.querySelector(adding ? `[data-add="${adding}"]` : `[data-node="${near}"]`).focus();
   }
 
   async function parse() {

@@ -20,5 +20,5 @@ async function start() {
 }
 
 start().catch((error) => {
-  document.querySelector(".status").textContent = `This page cannot show the motion: ${error.message}`;
+  document.querySelector(".status span").textContent = `This page cannot show the motion: ${error.message}`;
 });

@@ -34,14 +34,17 @@ export function createResult(box, play, fail) {
   });
 
   return {
-    /** made: the server's event; asked: the wish with the clip's seed; waited: milliseconds since the button. */
-    show(made, asked, waited) {
+    /** made: the server's event; asked: the wish with the clip's seed; seen: milliseconds from button to picture. */
+    show(made, asked, seen) {
       wish = asked;
       box.hidden = false;
       box.querySelector(".facts").textContent = facts(made.clip);
-      const rows = [...Object.entries(made.stages), ["until seen", waited]];
+      const row = (stage, ms, seen) =>
+        element("div", { class: seen && "seen" }, element("dt", {}, stage), element("dd", {}, `${ms.toFixed(0)} ms`));
       box.querySelector(".stages").replaceChildren(
-        ...rows.map(([stage, ms]) => element("div", {}, element("dt", {}, stage), element("dd", {}, `${ms.toFixed(0)} ms`))),
+        ...Object.entries(made.stages).map(([stage, ms]) => row(stage, ms, false)),
+        ...(seen.sketch === null ? [] : [row("sketch seen after", seen.sketch, true)]),
+        row("clip seen after", seen.clip, true),
       );
     },
   };

@@ -34,7 +34,8 @@ function createPane(actor) {
   const grid = new LineSegments(SQUARES, new LineBasicMaterial());
   scene.add(new HemisphereLight(0xffffff, 0x8d95a5, 1.5), sun, sun.target, grid, floor);
   if (actor) scene.add(actor.model, actor.trail.whole, actor.trail.past);
-  return { scene, sun, floor, actor, camera: new PerspectiveCamera(34, 1, 0.1, 60), grid };
+  const dispose = () => [sun, floor.geometry, floor.material, grid.material].forEach((part) => part.dispose());
+  return { scene, sun, floor, actor, camera: new PerspectiveCamera(34, 1, 0.1, 60), grid, dispose };
 }
 
 /** Columns that leave panes closest to a standing person's shape. */
@@ -141,7 +142,10 @@ export function createStage(view) {
     recentre,
     /** Show these clips, side by side; others go, and free what they hold. */
     show(actors) {
-      for (const { actor } of panes) if (actor && !actors.includes(actor)) actor.dispose();
+      for (const pane of panes) {
+        pane.dispose();
+        if (pane.actor && !actors.includes(pane.actor)) pane.actor.dispose();
+      }
       panes = (actors.length ? actors : [null]).map(createPane);
       labels.replaceChildren(
         ...actors.map(({ clip }) => {

@@ -15,7 +15,8 @@ export function createTransport(box, stage) {
     scrub.max = stage.duration;
     scrub.step = stage.frame;
     scrub.value = shown;
-    const words = `${shown.toFixed(1)} / ${stage.duration.toFixed(1)} s`;
+    const whole = stage.duration && stage.duration + stage.frame; // the last frame lasts, too
+    const words = `${(shown < stage.duration ? shown : whole).toFixed(1)} / ${whole.toFixed(1)} s`;
     clock.textContent = words;
     scrub.setAttribute("aria-valuetext", words);
     stage.at(shown);

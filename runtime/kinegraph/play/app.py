@@ -14,6 +14,8 @@ from starlette.requests import Request
 from starlette.responses import JSONResponse, Response, StreamingResponse
 from starlette.routing import Route
 
+from kinegraph.concepts import DEFAULT_LAMBDAS
+from kinegraph.contract import AGD_STEPS
 from kinegraph.errors import InvalidInputError, KinegraphError
 from kinegraph.formats import NAMED, encode
 from kinegraph.formats.html import document, policy
@@ -145,6 +147,8 @@ def _facts(pipeline: MotionPipeline) -> dict[str, Any]:
         "seconds": manifest.seconds_limits,
         "steps": dict(manifest.defaults.steps),
         "guidance": dict(manifest.defaults.guidance),
+        "lambdas": DEFAULT_LAMBDAS,
+        "agd": manifest.contracts.keys() >= set(AGD_STEPS.values()),
         "roles": list(ARGUMENT_ROLES),
         "files": list(FILES),
         "named": sorted(NAMED),

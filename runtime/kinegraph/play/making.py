@@ -31,8 +31,8 @@ def make(pipeline: MotionPipeline, wish: Wish, on_step: OnStep, on_level: OnLeve
     Raises:
         KinegraphError: as `MotionPipeline.generate` and `compose`.
     """
-    if wish.concepts:
-        return pipeline.compose(wish.concepts, method=wish.method, on_step=on_step, on_level=on_level, **wish.sampling)
+    if wish.concepts is not None:
+        return pipeline.compose(wish.concepts, on_step=on_step, on_level=on_level, **wish.composing, **wish.sampling)
     return pipeline.generate(wish.text or "", on_step=on_step, on_level=on_level, **wish.sampling)
 
 
@@ -58,7 +58,7 @@ class Making:
         """
         self._since = time.perf_counter()
         wish = self.wish
-        if not wish.concepts and not isinstance(wish.text, SemanticGraph):
+        if wish.concepts is None and not isinstance(wish.text, SemanticGraph):
             graph = self.pipeline.parse(wish.text or "")
             self._lap("parser")
             self.tell({"event": "graph", "graph": graph.to_dict()})

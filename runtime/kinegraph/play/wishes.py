@@ -15,6 +15,7 @@ from kinegraph.graph import SemanticGraph
 from kinegraph.text.parser import check_caption
 
 _SAMPLING: Final = frozenset(("seconds", "seed", "steps", "guidance", "foot_fix"))
+_COMPOSING: Final = frozenset(("method", "lambdas", "agd"))
 
 
 @dataclass(frozen=True)
@@ -23,8 +24,9 @@ class Wish:
 
     text: str | SemanticGraph | None = None
     """A sentence or its graph; None for concepts."""
-    concepts: tuple[Concept, ...] = ()
-    method: str = "fused"
+    concepts: tuple[Concept, ...] | None = None
+    composing: Mapping[str, Any] = field(default_factory=dict)
+    """Those of method, text, lambdas and agd that are given; `MotionPipeline.compose` checks them."""
     sampling: Mapping[str, Any] = field(default_factory=dict)
     """Those of seconds, seed, steps, guidance and foot_fix that are given; `MotionPipeline.generate` checks them."""
 
@@ -53,20 +55,20 @@ def caption_of(request: Mapping[str, Any]) -> str:
 
 
 def wish_of(request: Mapping[str, Any]) -> Wish:
-    """The wish of a request for a clip.
+    """The wish of a request for a clip. Beside concepts, `text` is their joint sentence.
 
     Raises:
         InvalidInputError: unknown keys, or values that cannot be.
     """
-    _known(request, {"text", "graph", "concepts", "method", *_SAMPLING})
+    _known(request, {"text", "graph", "concepts", *_COMPOSING, *_SAMPLING})
     sampling = {name: _option(name, request[name]) for name in _SAMPLING & set(request)}
     if "concepts" in request:
-        if {"text", "graph"} & set(request):
-            raise InvalidInputError("give either concepts or a sentence")
-        method = request.get("method", "fused")
-        return Wish(concepts=_concepts(request["concepts"]), method=method, sampling=sampling)
-    if "method" in request:
-        raise InvalidInputError("method is for concepts")
+        if "graph" in request:
+            raise InvalidInputError("give either concepts or the graph of a sentence")
+        composing = {name: _option(name, request[name]) for name in (_COMPOSING | {"text"}) & set(request)}
+        return Wish(concepts=_concepts(request["concepts"]), composing=composing, sampling=sampling)
+    if alone := sorted(_COMPOSING & set(request)):
+        raise InvalidInputError(f"{alone[0]} is for concepts")
     if "graph" in request:
         return Wish(SemanticGraph.from_dict(request["graph"]), sampling=sampling)
     return Wish(caption_of({"text": request.get("text")}), sampling=sampling)
@@ -114,7 +116,7 @@ def _concepts(value: object) -> tuple[Concept, ...]:
 
 def _option(name: str, value: object) -> object:
     """Numbers may come as typed text: "7", "2.5", "15,15,20"; a seed beyond 2**53 must, as JSON would round it."""
-    if not isinstance(value, str) or name == "foot_fix":
+    if not isinstance(value, str) or name in ("foot_fix", "method", "text"):
         return value
     try:
         if name == "seed":

@@ -1,0 +1,96 @@
+"""Concepts in the playground: weights, the method and how they are mixed, as the command line's compose."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from browsing import Open, download, made, settings, wait_until
+from playing import Playing
+
+from kinegraph import cli
+
+
+def test_concepts_are_composed(open_page: Open, server: Playing, tmp_path: Path) -> None:
+    page = open_page(server.url)
+    page.get_by_label("Concepts").check()
+    page.get_by_role("button", name="Add a concept").click()
+    page.get_by_label("Concept", exact=True).last.fill("a person runs")
+    page.get_by_label("Weight").last.fill("-0.5")
+    assert page.locator(".rows output").last.inner_text() == "not ×0.5"
+    page.get_by_label("Method").select_option("latent")
+    settings(page, seconds="2", seed="3", steps="3")
+    page.get_by_role("button", name="Generate").click()
+    wait_until(page, lambda: made(page) == 1)
+    words = ["--and", "a person walks forward", "--and", "a person waves the right hand", "--not", "a person runs:0.5"]
+    flags = ["--method", "latent", "--seconds", "2", "--seed", "3", "--steps", "3", "--threads", "1", "--quiet"]
+    assert cli.main(["compose", *words, *flags, "-o", str(tmp_path / "x.npz")]) == 0
+    assert download(page, ".npz") == (tmp_path / "x.npz").read_bytes()
+
+
+def test_how_concepts_are_mixed_goes_to_the_clip_the_link_and_the_file(
+    open_page: Open, server: Playing, tmp_path: Path
+) -> None:
+    page = open_page(server.url)
+    page.get_by_label("Concepts").check()
+    assert not page.get_by_label("Share of latent").is_visible()  # the screen stays calm
+    page.get_by_text("How they are mixed").click()
+    page.get_by_label("Joint sentence", exact=True).fill("a person walks while waving")
+    page.get_by_label("Share of semantic").fill("0.7")
+    page.get_by_label("Share of latent").fill("0.1")
+    assert page.locator(".shares output").all_text_contents() == ["10 %", "65 %", "25 %"]
+    page.get_by_label("Adapt the words").check()
+    page.get_by_label("Attention step").fill("0.1")
+    settings(page, seconds="1.5", seed="3", steps="3")
+    page.get_by_role("button", name="Generate").click()
+    wait_until(page, lambda: made(page) == 1)
+    words = ["--and", "a person walks forward", "--and", "a person waves the right hand"]
+    mixed = ["--text", "a person walks while waving", "--lambdas", "0.1,0.65,0.25", "--agd", "0.1,0.2"]
+    flags = ["--seconds", "1.5", "--seed", "3", "--steps", "3", "--threads", "1", "--quiet"]
+    assert cli.main(["compose", *words, *mixed, *flags, "-o", str(tmp_path / "x.npz")]) == 0
+    assert download(page, ".npz") == (tmp_path / "x.npz").read_bytes()
+    page.get_by_role("button", name="Link").click()
+    wait_until(page, lambda: "#" in page.url)
+    other = open_page(page.url)
+    assert other.get_by_label("Share of semantic").is_visible() and made(other) == 0
+    assert other.locator(".shares output").all_text_contents() == ["10 %", "65 %", "25 %"]
+    other.get_by_role("button", name="Generate").click()
+    wait_until(other, lambda: made(other) == 1)
+    assert download(other, ".npz") == (tmp_path / "x.npz").read_bytes()
+
+
+@pytest.mark.parametrize("name", ["latent", "semantic", "joint sentence"])
+def test_shares_always_sum_to_one(open_page: Open, server: Playing, name: str) -> None:
+    page = open_page(server.url)
+    page.get_by_label("Concepts").check()
+    page.get_by_text("How they are mixed").click()
+    page.get_by_label(f"Share of {name}").focus()
+    seen = set()
+    for key in ("Home", *["ArrowRight"] * 20, *["ArrowLeft"] * 7):
+        page.keyboard.press(key)
+        shares = [int(text.removesuffix(" %")) for text in page.locator(".shares output").all_text_contents()]
+        assert sum(shares) == 100 and min(shares) >= 0
+        seen.add(shares[["latent", "semantic", "joint sentence"].index(name)])
+    assert seen == set(range(0, 101, 5))
+
+
+def test_what_does_not_mix_is_hidden_or_said(open_page: Open, server: Playing) -> None:
+    page = open_page(server.url)
+    page.get_by_label("Concepts").check()
+    page.get_by_text("How they are mixed").click()
+    page.get_by_label("Share of latent").fill("0.5")
+    page.get_by_label("Adapt the words").check()
+    page.get_by_label("Regularisation step").fill("7")
+    settings(page, seconds="1", seed="1", steps="2")
+    page.get_by_role("button", name="Generate").click()
+    wait_until(page, lambda: "agd must be two step sizes from 0 to 1" in page.get_by_role("alert").inner_text())
+    page.get_by_label("Adapt the words").uncheck()
+    assert not page.get_by_label("Regularisation step").is_visible()
+    page.get_by_label("Method").select_option("semantic")
+    assert not page.get_by_label("Share of latent").is_visible()
+    page.get_by_role("button", name="Generate").click()  # shares of "fused" are not sent with another method
+    wait_until(page, lambda: made(page) == 1)
+    for slider in page.get_by_label("Weight").all():
+        slider.fill("0")
+    wait_until(page, lambda: "1 to 8 concepts, not 0" in page.get_by_role("alert").inner_text())
+    assert page.locator(".rows output").all_text_contents() == ["left out", "left out"]
