@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from kinegraph.motion.clip import Clip
     from kinegraph.pipeline import MotionPipeline
 
-__version__ = "0.3.0"
+__version__ = "0.4.0"
 
 # Loaded at first use: `kinegraph --help`, or a program that only reads clips, need not wait for onnxruntime.
 _HOMES: Final[dict[str, str]] = {

@@ -79,7 +79,7 @@ def add_compose(parser: argparse.ArgumentParser) -> None:
         "--agd",
         type=level_numbers,
         metavar="A,R",
-        help="step sizes of adaptive gradient descent, e.g. 0.2,0.2; default: off",
+        help="step sizes of adaptive gradient descent, e.g. 0.1,0.1; default: off",
     )
     _add_sampling(parser)
 

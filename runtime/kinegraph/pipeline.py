@@ -253,7 +253,7 @@ class MotionPipeline:
             lambdas: of "fused": shares of latent, semantic and joint text; default (0, 0.1, 0.9).
             agd: step sizes (gamma_attn, gamma_reg) of adaptive gradient descent (Eq. 3, 4), each 0 to 1: EnergyMoGen
                 has (0.0004, 0.0004) for several concepts and (0.001, 0.002) for one sentence of several; the default
-                bundle does best with (0.2, 0.2). None is off.
+                bundle does best with (0.1, 0.1). None is off.
             seconds, seed, steps, guidance, foot_fix, on_step, on_level: as in `generate`.
 
         Raises:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 import time
 from itertools import pairwise
 from pathlib import Path
@@ -12,6 +13,8 @@ from browsing import TEXT, Open, changed, download, generate, made, settings, sh
 from playing import Playing
 
 from kinegraph import cli
+from kinegraph.motion.clip import Clip
+from kinegraph.play.making import Making
 
 if TYPE_CHECKING:
     from playwright.sync_api import Page
@@ -46,11 +49,26 @@ def test_files_are_those_of_the_command_line(open_page: Open, server: Playing, t
     assert download(page, ".bvh") == (tmp_path / "m.bvh").read_bytes()
 
 
-def test_coarse_motion_is_seen_first_from_the_same_place(open_page: Open, server: Playing) -> None:
+@pytest.fixture
+def go_on(monkeypatch: pytest.MonkeyPatch) -> threading.Semaphore:
+    """Whoever makes a clip waits after each sketch until this is released: how fast the browser draws is no matter."""
+    told, semaphore = Making._level, threading.Semaphore(0)
+
+    def wait(self: Making, level: str, clip: Clip) -> None:
+        told(self, level, clip)
+        assert semaphore.acquire(timeout=60)
+
+    monkeypatch.setattr(Making, "_level", wait)
+    return semaphore
+
+
+def test_coarse_motion_is_seen_first_from_the_same_place(
+    open_page: Open, server: Playing, go_on: threading.Semaphore
+) -> None:
     page = open_page(server.url)
     empty = page.locator("canvas").screenshot()
     page.get_by_label("What should the person do?").fill(TEXT)
-    settings(page, seconds="3", seed="1", steps="2,600,900")
+    settings(page, seconds="3", seed="1", steps="2")
     page.get_by_role("button", name="Generate").click()
     seen = []
     for level in ("whole motion", "actions"):
@@ -58,6 +76,7 @@ def test_coarse_motion_is_seen_first_from_the_same_place(open_page: Open, server
         assert made(page) == 0
         seen.append(page.locator("canvas").screenshot() if seen else shown(page, 1.5))
         assert time_of(page) == 1.5
+        go_on.release()
     wait_until(page, lambda: made(page) == 1, 60)
     assert page.locator(".panes").inner_text() == "" and time_of(page) == 1.5
     # another body each time, in the middle of a room that stays
