@@ -155,7 +155,8 @@ def numbers(operators: dict[str, tuple[str, ...]], precision: Precision) -> str:
     halves = "float32 arithmetic on weights stored as float16"
     own = {
         "fp32": f"all networks: {halves}",
-        "int8": "denoisers: int8, activations with one scale per tensor and run; "
+        "int8": "denoisers: int8, activations with one scale per tensor and run (with adaptive gradient descent, what "
+        "reads and moves the context computes in float32); "
         f"{present(STORED_INT8)}: float32 arithmetic on weights stored as int8; {present(KEPT_IN_FLOAT)}: {halves}",
     }[precision]
     return f"{own}; text encoder: " + ("weights in int8 blocks" if blocks else "float32 throughout")
