@@ -9,6 +9,7 @@ clip.save("walk.bvh")
 
 from __future__ import annotations
 
+import os
 from importlib import import_module
 from typing import TYPE_CHECKING, Final
 
@@ -32,6 +33,10 @@ if TYPE_CHECKING:
     from kinegraph.pipeline import MotionPipeline
 
 __version__ = "0.4.0"
+
+# From 1.32 on, importing onnxruntime writes a device number into the user's home and may send events to its maker. Not
+# from here: unless the host has said something else, or has imported onnxruntime already.
+os.environ.setdefault("ORT_DISABLE_TELEMETRY", "1")
 
 # Loaded at first use: `kinegraph --help`, or a program that only reads clips, need not wait for onnxruntime.
 _HOMES: Final[dict[str, str]] = {

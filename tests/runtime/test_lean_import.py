@@ -10,6 +10,7 @@ from pathlib import Path
 
 import kinegraph
 
+TELEMETRY = "ORT_DISABLE_TELEMETRY"
 RUNTIME = Path(kinegraph.__file__).resolve().parents[1]
 
 PREAMBLE = """
@@ -31,7 +32,7 @@ print(json.dumps({
     "modules": sorted(sys.modules),
     "threads": threading.active_count(),
     "handlers": len(logging.getLogger().handlers),
-    "environment": dict(os.environ) == environment,
+    "environment": {name: value for name, value in os.environ.items() if environment.get(name) != value},
 }))
 """
 
@@ -48,8 +49,9 @@ HEAVY = {
 }
 
 
-def run(code: str) -> dict[str, object]:
-    environment = {**os.environ, "PYTHONPATH": str(RUNTIME), "PYTHONDONTWRITEBYTECODE": "1"}
+def run(code: str, **variables: str) -> dict[str, object]:
+    inherited = {name: value for name, value in os.environ.items() if name != TELEMETRY}  # set by the import above
+    environment = {**inherited, "PYTHONPATH": str(RUNTIME), "PYTHONDONTWRITEBYTECODE": "1", **variables}
     done = subprocess.run(
         [sys.executable, "-c", PREAMBLE + code + REPORT],
         env=environment,
@@ -76,7 +78,17 @@ def test_import_loads_nothing_heavy_and_changes_nothing() -> None:
     assert not loaded & HEAVY
     assert found["threads"] == 1
     assert found["handlers"] == 0
-    assert found["environment"] is True
+    assert found["environment"] == {TELEMETRY: "1"}
+
+
+def test_nothing_of_this_machine_is_told_to_anybody(tmp_path: Path) -> None:
+    """onnxruntime's telemetry begins with a number of the device in the user's home, written by native code."""
+    run("import kinegraph.sessions\n", HOME=str(tmp_path), XDG_CACHE_HOME=str(tmp_path))
+    assert [*tmp_path.rglob("*")] == []
+
+
+def test_what_the_host_says_of_telemetry_stays() -> None:
+    assert run("import kinegraph\n", **{TELEMETRY: "0"})["environment"] == {}
 
 
 def test_only_numpy_and_onnxruntime_come_along() -> None:
