@@ -26,8 +26,8 @@ NEGATED: Final = -1.0
 leaves .96 of those of the other; -0.5 takes .12. It also takes what the unwanted has in common with the wanted: "not
 runs" leaves .15 of the walks, and at -0.3 .95 of them, a quarter slower (`benchmarks/composition_settings.py`)."""
 MAX_STEP_SIZE: Final = 1.0
-"""Of adaptive gradient descent. At 0.1 EnergyMoGen's motions are spoilt (Table 9); those of the default bundle hold
-both actions in 97 % of clips at 0.1 and in 100 % at 0.2 (`benchmarks/composition_settings.py`)."""
+"""Of adaptive gradient descent. At 0.1 EnergyMoGen's motions are spoilt (Table 9) and the default bundle's are best
+(`benchmarks/composition_settings.py`)."""
 MAX_WEIGHT: Final = 10.0
 MIN_SUM: Final = 0.05
 MAX_RATIO: Final = 5.0
