@@ -4,8 +4,8 @@
     python benchmarks/other_cpu.py --bundle FP32 --against clips.npz --out cpu.json    on the other
 
 From graphs, so without spaCy: numpy, onnxruntime and tokenizers are enough on the other machine, which may be an
-emulated one (qemu-user 10 loads the aarch64 wheels, slowly; 7.2 does not). Processors round differently, and int8 bundles
-round more: an fp32 bundle should agree to a millimetre, an int8 one about as well as with itself in a batch
+emulated one (qemu-user 10 loads the aarch64 wheels, slowly; 7.2 does not). Processors round differently, and int8
+bundles round more: an fp32 bundle should agree to a millimetre, an int8 one about as well as with itself in a batch
 (`batch_mm` of `kinegraph info`).
 """
 
