@@ -120,12 +120,15 @@ def graph_modules(trained: Trained) -> dict[str, nn.Module]:
     return {name: module.eval() for name, module in modules.items()}
 
 
-def drawn_inputs(contract: GraphContract, frames_per_token: int) -> Draw:
-    """Random inputs of a contract, with new sizes at every call; ids and masks are meaningful ones."""
+def drawn_inputs(contract: GraphContract, frames_per_token: int, *, distinct: bool = False) -> Draw:
+    """Random inputs of a contract, with new sizes at every call; ids and masks are meaningful ones. `distinct`: every
+    row has its own modulation, for tracing takes a size of 1 for a constant."""
 
     def draw(rng: np.random.Generator) -> dict[str, np.ndarray]:
         free = sorted({axis for spec in contract.inputs for axis in spec.axes if isinstance(axis, str)})
         size = {axis: int(rng.integers(2, 12)) for axis in free}
+        if "M" in size:
+            size["M"] = size["R"] if distinct else int(rng.choice([1, size["R"]]))
         if "L" in size:
             size["L"] = frames_per_token * int(rng.integers(4, 49))
         feeds = {}
@@ -166,7 +169,7 @@ def _values(name: str, shape: tuple[int, ...], size: dict[str, int], rng: np.ran
 
 def traced(module: nn.Module, contract: GraphContract, frames_per_token: int) -> onnx.ModelProto:
     """A module as ONNX with fused operators."""
-    sample = drawn_inputs(contract, frames_per_token)(np.random.Generator(np.random.PCG64(1)))
+    sample = drawn_inputs(contract, frames_per_token, distinct=True)(np.random.Generator(np.random.PCG64(1)))
     return to_onnx(
         fused(module),
         tuple(module_arguments(contract, sample)),

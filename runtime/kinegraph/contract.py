@@ -3,7 +3,7 @@
 Axes are numbers where the size is fixed by the bundle and names where it is free:
 
     B samples     R latent rows     A attention rows     T text tokens     N graph nodes     K diffusion steps
-    S context tokens (node tokens first, then the coarser latent's)     L frames
+    S context tokens (node tokens first, then the coarser latent's)     L frames     M as many as R, or 1 for all rows
 
 Rows of a step are predictions (unconditional, a concept, ...); attention row `a` lets latent row `src[a]`
 attend to its own context, and `combine` mixes attention outputs back into rows.
@@ -184,7 +184,7 @@ def _step(graph: str, level: LevelSpec, attended: tuple[TensorSpec, ...]) -> Gra
     latent = ("R", level.tokens, level.latent_width)
     inputs = (
         TensorSpec("latent", latent),
-        TensorSpec("modulation", ("R", level.modulations, level.width)),
+        TensorSpec("modulation", ("M", level.modulations, level.width)),
         *attended,
         TensorSpec("src", ("A",), INT),
         TensorSpec("combine", ("R", "A")),

@@ -20,10 +20,13 @@ RowNetwork = Callable[[FloatArray, int], FloatArray]
 def modulations(
     clock: onnxruntime.InferenceSession, timesteps: NDArray[np.int64], frames: NDArray[np.int64]
 ) -> FloatArray:
-    """Scales and shifts of every step and row: (K, R, m, d); timesteps (K,), frames (R,)."""
+    """Scales and shifts of every step and row: (K, R, m, d); timesteps (K,), frames (R,).
+
+    (K, 1, m, d) where all rows are of one length: onnxruntime normalises faster by one scale than by one for each row.
+    """
     lengths, row = np.unique(frames, return_inverse=True)
     found: FloatArray = clock.run(["modulation"], {"timestep": timesteps, "frames": lengths})[0]
-    return found[:, row]
+    return found if len(lengths) == 1 else found[:, row]
 
 
 def row_network(

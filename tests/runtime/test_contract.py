@@ -42,7 +42,7 @@ TABLE = {
     ),
     "clock_motion": ("timestep i K | frames i B", "modulation f K,B,18,192"),
     "step_motion": (
-        "latent f R,2,16 | modulation f R,18,192 | key_0 f A,4,S,48 | value_0 f A,4,S,48 | key_1 f A,4,S,48"
+        "latent f R,2,16 | modulation f M,18,192 | key_0 f A,4,S,48 | value_0 f A,4,S,48 | key_1 f A,4,S,48"
         " | value_1 f A,4,S,48 | key_2 f A,4,S,48 | value_2 f A,4,S,48 | src i A | combine f R,A"
         " | bias f A,1,2,S",
         "noise f R,2,16",
@@ -53,7 +53,7 @@ TABLE = {
     ),
     "clock_action": ("timestep i K | frames i B", "modulation f K,B,12,192"),
     "step_action": (
-        "latent f R,4,16 | modulation f R,12,192 | key_0 f A,4,S,48 | value_0 f A,4,S,48 | key_1 f A,4,S,48"
+        "latent f R,4,16 | modulation f M,12,192 | key_0 f A,4,S,48 | value_0 f A,4,S,48 | key_1 f A,4,S,48"
         " | value_1 f A,4,S,48 | src i A | combine f R,A | bias f A,1,4,S",
         "noise f R,4,16",
     ),
@@ -63,7 +63,7 @@ TABLE = {
     ),
     "clock_specific": ("timestep i K | frames i B", "modulation f K,B,6,192"),
     "step_specific": (
-        "latent f R,8,16 | modulation f R,6,192 | key_0 f A,6,S,32 | value_0 f A,6,S,32 | src i A | combine f R,A"
+        "latent f R,8,16 | modulation f M,6,192 | key_0 f A,6,S,32 | value_0 f A,6,S,32 | src i A | combine f R,A"
         " | bias f A,1,8,S",
         "noise f R,8,16",
     ),
@@ -72,7 +72,7 @@ TABLE = {
     "decoder_action": ("latent f B,4,16 | frame_mask f B,L", "features f B,L,137"),
     "context_motion_agd": ("nodes f B,N,384 | kind i B,N | order i B,N", "context f B,S,192"),
     "step_motion_agd": (
-        "latent f R,2,16 | modulation f R,18,192 | context f A,S,192 | gamma f A,2 | src i A | combine f R,A"
+        "latent f R,2,16 | modulation f M,18,192 | context f A,S,192 | gamma f A,2 | src i A | combine f R,A"
         " | bias f A,1,2,S",
         "noise f R,2,16",
     ),
@@ -81,7 +81,7 @@ TABLE = {
         "context f B,S,192",
     ),
     "step_action_agd": (
-        "latent f R,4,16 | modulation f R,12,192 | context f A,S,192 | gamma f A,2 | src i A | combine f R,A"
+        "latent f R,4,16 | modulation f M,12,192 | context f A,S,192 | gamma f A,2 | src i A | combine f R,A"
         " | bias f A,1,4,S",
         "noise f R,4,16",
     ),
@@ -90,7 +90,7 @@ TABLE = {
         "context f B,S,192",
     ),
     "step_specific_agd": (
-        "latent f R,8,16 | modulation f R,6,192 | context f A,S,192 | gamma f A,2 | src i A | combine f R,A"
+        "latent f R,8,16 | modulation f M,6,192 | context f A,S,192 | gamma f A,2 | src i A | combine f R,A"
         " | bias f A,1,8,S",
         "noise f R,8,16",
     ),

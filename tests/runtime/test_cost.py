@@ -70,6 +70,23 @@ def test_a_call_runs_every_model_once_and_every_step_once(
     assert runs == {**once, **{f"step_{level}": count for level, count in STEPS.items()}}
 
 
+@pytest.mark.parametrize(("seconds", "modulations"), [((1.0, 1.0), 1), ((1.0, 2.0), 4)])
+def test_rows_of_one_length_share_their_modulation(
+    pipe: MotionPipeline, monkeypatch: pytest.MonkeyPatch, seconds: tuple[float, float], modulations: int
+) -> None:
+    seen: set[tuple[int, int]] = set()
+
+    class Watched(Counted):
+        def run(self, names: Any, feeds: dict[str, Any]) -> Any:
+            seen.add((len(feeds["latent"]), len(feeds["modulation"])))
+            return super().run(names, feeds)
+
+    steps = {level: Watched(own, level, Counter()) for level, own in pipe._sessions.step.items()}
+    monkeypatch.setattr(pipe, "_sessions", replace(pipe._sessions, step=MappingProxyType(steps)))
+    pipe.batch([GRAPH, GRAPH], seconds=seconds, seed=1, steps=STEPS)
+    assert seen == {(4, modulations)}
+
+
 def test_a_session_does_not_keep_its_file(pipe: MotionPipeline) -> None:
     every = [pipe._sessions.text_encoder, pipe._sessions.decoder, *pipe._sessions.step.values()]
     assert all(session._model_bytes is None for session in every)

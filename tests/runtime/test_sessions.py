@@ -1,4 +1,4 @@
-"""Sessions: threads as asked, no spinning, the host's own options, onnxruntime's errors wrapped."""
+"""Sessions: threads as asked, no spinning between runs, the host's own options, onnxruntime's errors wrapped."""
 
 from __future__ import annotations
 
@@ -49,10 +49,12 @@ def test_the_callers_thread_count_holds_for_all(bundle: Bundle, threads: int) ->
         assert session.get_session_options().intra_op_num_threads == threads
 
 
-def test_pools_do_not_spin(bundle: Bundle) -> None:
-    for session in every(open_sessions(bundle)).values():
+@pytest.mark.parametrize("threads", [1, 2])
+def test_pools_spin_while_they_run_only(bundle: Bundle, threads: int) -> None:
+    for session in every(open_sessions(bundle, threads=threads)).values():
         options = session.get_session_options()
-        assert options.get_session_config_entry("session.intra_op.allow_spinning") == "0"
+        assert options.get_session_config_entry("session.intra_op.allow_spinning") == str(threads - 1)
+        assert options.get_session_config_entry("session.force_spinning_stop") == "1"
         assert options.inter_op_num_threads == 1
 
 
