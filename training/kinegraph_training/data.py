@@ -78,7 +78,7 @@ def read_jsonl(path: Path) -> dict[str, dict[str, Any]]:
 
 
 def read_split(folder: Path, split: str) -> list[MotionClip]:
-    """All clips of one split.
+    """All clips of one split but those that index.jsonl calls not `clean`.
 
     Raises:
         InvalidInputError: a file is missing, or a clip has no caption.
@@ -95,10 +95,12 @@ def read_split(folder: Path, split: str) -> list[MotionClip]:
     for name, start, end in zip(ids, offsets[:-1], offsets[1:], strict=True):
         if not captions.get(name, {}).get("captions"):
             raise InvalidInputError(f"clip {name!r} of {path} has no caption in captions.jsonl")
+        row = index.get(name, {})
+        if not row.get("clean", True):
+            continue
         place = joints[start:end].astype(np.float32) * np.float32(scale)
         place[..., 0] += root[start:end, None, 0]
         place[..., 2] += root[start:end, None, 1]
-        row = index.get(name, {})
         clips.append(
             MotionClip(
                 id=name,

@@ -26,6 +26,15 @@ class Dataset:
     mean: FloatArray
     std: FloatArray
 
+    def under(self, mean: FloatArray, std: FloatArray) -> Dataset:
+        """The same under another normalisation, (137,) each."""
+        gain, shift = self.std / std, (self.mean - mean) / std
+        return Dataset(self.clips, [rows * gain + shift for rows in self.features], mean, std)
+
+
+PACE = 1.35
+"""Most that `paced_clips` change a speed, either way."""
+
 
 def training_clips(
     folder: Path, config: DataConfig, held_out: Path | None, more: Sequence[Path] = ()
@@ -63,9 +72,39 @@ def with_counted_steps(clips: list[MotionClip], seed: int) -> list[MotionClip]:
     ]
 
 
-def training_set(folder: Path, config: DataConfig, held_out: Path | None, more: Sequence[Path] = ()) -> Dataset:
-    """The training clips and their own normalisation."""
+def paced_clips(clips: Sequence[MotionClip], config: DataConfig, seed: int) -> list[MotionClip]:
+    """Every clip once more, up to `PACE` times as fast or as slow: an autoencoder that has seen a motion at one speed
+    only keeps it badly at another. Not for denoisers: captions say how fast and how often."""
+    rng = np.random.Generator(np.random.PCG64(seed))
+    paces = PACE ** rng.uniform(-1.0, 1.0, len(clips))
+    frames = [max(config.min_frames, round(len(clip.joints) / pace)) for clip, pace in zip(clips, paces, strict=True)]
+    return [
+        replace(clip, id=f"{clip.id}~paced", joints=smoothly_resampled(clip.joints, count))
+        for clip, count in zip(clips, frames, strict=True)
+    ]
+
+
+def smoothly_resampled(joints: FloatArray, frames: int) -> FloatArray:
+    """Catmull-Rom in time, end to end: (t, 22, 3) -> (frames, 22, 3). Linear would jerk at every old frame."""
+    place = np.linspace(0, len(joints) - 1, frames)
+    low = np.minimum(place.astype(int), len(joints) - 2)
+    t = (place - low)[:, None, None].astype(np.float32)
+    # The ends go on in a straight line.
+    rows = np.concatenate([2 * joints[:1] - joints[1:2], joints, 2 * joints[-1:] - joints[-2:-1]])
+    before, start, end, after = (rows[low + i] for i in range(4))
+    linear, square = end - before, 2 * before - 5 * start + 4 * end - after
+    cubic = 3 * (start - end) + after - before
+    resampled: FloatArray = start + 0.5 * t * (linear + t * (square + t * cubic))
+    return resampled
+
+
+def training_set(
+    folder: Path, config: DataConfig, held_out: Path | None, more: Sequence[Path] = (), *, paced: bool = False
+) -> Dataset:
+    """The training clips, `paced` ones with them if asked for, under their own normalisation."""
     clips = training_clips(folder, config, held_out, more)
+    if paced:
+        clips += paced_clips(clips, config, config.seed + 3)
     features = [features_from_joints(clip.joints) for clip in clips]
     mean, std = normalisation(features)
     return Dataset(clips, [(rows - mean) / std for rows in features], mean, std)

@@ -182,13 +182,6 @@ def main(argv: list[str] | None = None) -> None:
     parser.add_argument(
         "--assets", type=Path, required=True, help="folder with text_encoder.onnx, tokenizer.json, parser.bin"
     )
-    parser.add_argument(
-        "--more",
-        type=Path,
-        action="append",
-        default=[],
-        help="another data folder, trained on as it is; may be repeated",
-    )
     arguments, lightning = parser.parse_known_args(argv)
     preset = read_preset(arguments.preset)
     if arguments.threads:

@@ -60,12 +60,13 @@ class VaeModule(L.LightningModule):
         self.register_buffer("std", torch.tensor(std))
 
     def start_from(self, checkpoint: Path) -> None:
-        """Take the weights of another run's checkpoint; normalisation and schedule stay this run's own.
+        """Take the weights of another run's checkpoint, and the normalisation without which they mean nothing; the
+        schedule stays this run's own. Clips have to come under it too (`Dataset.under`).
 
         Raises:
             InvalidInputError: no such file, or weights of another shape.
         """
-        start_weights(self.vae, checkpoint, "vae.")
+        start_weights(self, checkpoint, "")
         self.poses_known = True
 
     def keep_encoder(self) -> None:
@@ -155,6 +156,7 @@ def main(argv: list[str] | None = None) -> None:
     parser = argparse.ArgumentParser(prog="kinegraph_training.train_vae", description=__doc__.split("\n")[0])
     parser.add_argument("--level", choices=LEVELS, required=True)
     parser.add_argument("--decoder-only", action="store_true", help="with --start-from: leave the encoder as it is")
+    parser.add_argument("--paced", action="store_true", help="train on every clip at a second speed too")
     add_common_arguments(parser)
     arguments, lightning = parser.parse_known_args(argv)
     if arguments.decoder_only and not arguments.start_from:
@@ -164,11 +166,12 @@ def main(argv: list[str] | None = None) -> None:
         torch.set_num_threads(arguments.threads)
     L.seed_everything(preset.seed)
     config = preset.vae_training[arguments.level]
-    train = training_set(arguments.data, preset.data, arguments.held_out)
-    val = validation_set(arguments.data, "val", preset.data, train.mean, train.std)
+    train = training_set(arguments.data, preset.data, arguments.held_out, arguments.more, paced=arguments.paced)
     module = VaeModule(preset.vae[arguments.level], config, train.mean.tolist(), train.std.tolist())
     if arguments.start_from:
         module.start_from(arguments.start_from)
+        train = train.under(module.mean.numpy(), module.std.numpy())
+    val = validation_set(arguments.data, "val", preset.data, train.mean, train.std)
     if arguments.decoder_only:
         module.keep_encoder()
     run = arguments.run / f"vae_{arguments.level}"
@@ -180,6 +183,13 @@ def add_common_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of every stage."""
     parser.add_argument("--data", type=Path, required=True, help="folder with train.npz, captions.jsonl, index.jsonl")
     parser.add_argument("--held-out", type=Path, help="JSON of action pairs that must not be composed in training")
+    parser.add_argument(
+        "--more",
+        type=Path,
+        action="append",
+        default=[],
+        help="another data folder, trained on as it is; may be repeated",
+    )
     parser.add_argument("--run", type=Path, required=True, help="folder for checkpoints and curves")
     parser.add_argument("--preset", default="edge", help="edge, paper, tiny, or a TOML file")
     parser.add_argument("--threads", type=int, help="threads torch may use")
