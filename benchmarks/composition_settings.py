@@ -26,6 +26,7 @@ from composed_scores import transition_distance
 from evaluate import long_enough
 from evaluator import Evaluator
 from numpy.typing import NDArray
+from written import kept, written
 
 from kinegraph import Concept, MotionPipeline
 from kinegraph_training import measures
@@ -212,11 +213,6 @@ def begun(path: Path, how: dict[str, Any]) -> dict[str, Any]:
     return {**how, "settings": {}, "negation": {}, "alike": {}}
 
 
-def keep(path: Path, result: dict[str, Any]) -> None:
-    """All rows so far."""
-    path.write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
-
-
 def main() -> None:
     """Command line."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -238,15 +234,13 @@ def main() -> None:
         if name.startswith(given.only) and name not in result["settings"]:
             result["settings"][name] = row(make, pipe, given.seeds, reference, judge)
             print(f"{name}: both {result['settings'][name]['both']:.2f}", file=sys.stderr)
-            keep(given.out, result)
+            kept(given.out, result)
     for weight in NEGATIONS if given.only in ("", "negation") else ():
         if f"{weight:g}" not in result["alike"]:
             result["negation"][f"{weight:g}"] = negated(pipe, given.seeds, weight)
             result["alike"][f"{weight:g}"] = beside_alike(pipe, given.seeds, weight)
-            keep(given.out, result)
-    text = table(result)
-    given.out.with_suffix(".md").write_text(text, encoding="utf-8")
-    print(text)
+            kept(given.out, result)
+    written(given.out, result, table(result))
 
 
 if __name__ == "__main__":

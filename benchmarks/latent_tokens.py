@@ -21,6 +21,7 @@ from compare import measured, share, trained
 from evaluator import Evaluator
 from recogniser import Recogniser
 from reconstruction import MIN_FRAMES, level_scores
+from written import kept, written
 
 from kinegraph_training.data import read_split
 from kinegraph_training.latents import read_vae
@@ -105,10 +106,8 @@ def main() -> int:
     for tokens in options.tokens:
         results[tokens] = measure(tokens, options)
         budget = {name: getattr(options, name) for name in ("vae_steps", "steps", "repeats", "seed")}
-        options.out.write_text(json.dumps({**budget, "tokens": results}, indent=1) + "\n", encoding="utf-8")
-    text = table(results)
-    options.out.with_suffix(".md").write_text(text, encoding="utf-8")
-    print(text)
+        kept(options.out, {**budget, "tokens": results})
+    written(options.out, {**budget, "tokens": results}, table(results))
     return 0
 
 

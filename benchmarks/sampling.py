@@ -9,12 +9,12 @@ measured here: cost is the number of steps. Writes JSON, and a Markdown table be
 from __future__ import annotations
 
 import argparse
-import json
 from pathlib import Path
 from typing import Any
 
 from evaluate import SPLITS, Plan, evaluate, ratio
 from takes import BundleModel, GuidanceBase, Spacing
+from written import kept, written
 
 STEPS = ((4, 4, 4), (6, 6, 8), (8, 8, 10), (10, 10, 10), (15, 15, 20), (20, 15, 15), (25, 25, 25), (50, 50, 50))
 GUIDANCE = (1.0, 1.5, 2.0, 2.5, 3.0, 4.0, 6.0)
@@ -68,10 +68,8 @@ def main() -> None:
             continue
         plan = Plan(given.bundle, None, given.data, given.work, None, given.repeats, options)
         results[name] = evaluate(plan, BundleModel(given.bundle, **changes))
-        given.out.write_text(json.dumps(results, indent=1) + "\n", encoding="utf-8")
-    text = table(results)
-    given.out.with_suffix(".md").write_text(text, encoding="utf-8")
-    print(text)
+        kept(given.out, results)
+    written(given.out, results, table(results))
 
 
 if __name__ == "__main__":

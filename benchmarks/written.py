@@ -9,7 +9,12 @@ from typing import Any
 
 def written(out: Path, result: dict[str, Any], table: str) -> None:
     """Write `out` and `out` with the suffix .md, and print."""
-    out.parent.mkdir(parents=True, exist_ok=True)
-    out.write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
+    kept(out, result)
     out.with_suffix(".md").write_text(table, encoding="utf-8")
     print(table)
+
+
+def kept(out: Path, result: dict[str, Any]) -> None:
+    """The JSON alone: what a long run has so far."""
+    out.parent.mkdir(parents=True, exist_ok=True)
+    out.write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")

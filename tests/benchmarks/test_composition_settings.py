@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from composed import BESIDE
 from motions import SHARED, walk
+from written import kept
 
 
 def test_pairs_are_held_out_of_training_and_can_be_judged() -> None:
@@ -75,7 +76,7 @@ def test_a_stopped_run_goes_on_with_rows_of_its_own_only(tmp_path: Path) -> None
     new = settings.begun(path, how)
     assert new == {**how, "settings": {}, "negation": {}, "alike": {}}
     new["settings"]["latent"] = {"both": 0.5}
-    settings.keep(path, new)
+    kept(path, new)
     assert settings.begun(path, how) == new
     assert settings.begun(path, {**how, "seeds": 3})["settings"] == {}
 
