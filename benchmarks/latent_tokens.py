@@ -52,7 +52,7 @@ def train_vae(run: Path, options: argparse.Namespace) -> None:
     done.write_text(str(options.vae_steps))
 
 
-def kept(run: Path, data: Path) -> dict[str, dict[str, float]]:
+def reconstructed(run: Path, data: Path) -> dict[str, dict[str, float]]:
     """What the autoencoder of a run keeps, per split; stored beside it."""
     out = run / "reconstruction.json"
     if not out.is_file():
@@ -71,7 +71,7 @@ def measure(tokens: int, options: argparse.Namespace) -> dict[str, Any]:
     (run / "preset.toml").write_text(preset(tokens, options), encoding="utf-8")
     train_vae(run, options)
     trained(run, options)
-    return {"reconstruction": kept(run, options.data), "generated": measured(run, options)}
+    return {"reconstruction": reconstructed(run, options.data), "generated": measured(run, options)}
 
 
 def table(results: dict[int, dict[str, Any]]) -> str:
