@@ -55,12 +55,13 @@ def claims(caption: str) -> list[Claim]:
 
 
 def steps(joints: NDArray[np.float32]) -> int:
-    """Steps taken: how often the legs change places along the facing direction, the first one counted."""
+    """Steps taken: how often the legs change places along the facing direction. The labels of the data count so too:
+    of 460 labelled clips, 441 have their label by this, the others one or two less."""
     ahead = joints[:, JOINT_INDEX["left_ankle"]] - joints[:, JOINT_INDEX["right_ankle"]]
     heading = facing_angle(joints)
     spread = np.sin(heading) * ahead[:, 0] + np.cos(heading) * ahead[:, 2]
     sides = np.sign(spread[np.abs(spread) > STEP_SPREAD])
-    return int((np.diff(sides) != 0).sum() + 1) if len(sides) else 0
+    return int((np.diff(sides) != 0).sum())
 
 
 def hand_height(joints: NDArray[np.float32]) -> float:
