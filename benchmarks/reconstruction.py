@@ -16,7 +16,7 @@ import torch
 from evaluator import Evaluator
 from numpy.typing import NDArray
 from recogniser import Recogniser
-from scores import Reference, grouped_r_precision, recognised
+from scores import Reference, grouped_r_precision, is_wave, recognised
 from written import written
 
 from kinegraph.motion.features import features_from_joints, joints_from_features
@@ -59,6 +59,9 @@ def level_scores(
     for name, measure in (("jerk", measures.jerk), ("foot_skate", measures.foot_skate)):
         made, own = (float(np.nanmean([measure(joints) for joints in part])) for part in (motions, captured))
         found[f"{name}_ratio"] = made / own
+    waves = [number for number, clip in enumerate(clips) if is_wave(clip)]
+    speeds = [np.mean([measures.hand_speed(part[number]) for number in waves]) for part in (motions, captured)]
+    found["wave_speed_ratio"] = float(speeds[0] / speeds[1])
     return found
 
 

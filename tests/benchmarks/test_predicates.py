@@ -116,6 +116,13 @@ def test_skating_counts_toes_on_the_floor_only() -> None:
     assert np.isnan(measures.foot_skate(flying))
 
 
+def test_hand_speed_is_the_busier_hands_and_not_the_bodys() -> None:
+    joints = np.repeat(t_pose(1), 21, axis=0) + np.linspace(0, 2, 21)[:, None, None] * np.array([0.0, 0.0, 1.0])
+    assert measures.hand_speed(joints) == pytest.approx(0.0, abs=1e-6)
+    joints[1::2, JOINT_INDEX["left_wrist"], 1] += 0.1
+    assert measures.hand_speed(joints) == pytest.approx(2.0)
+
+
 def test_bone_error_is_in_millimetres() -> None:
     joints = t_pose(3)
     lengths = bone_lengths(joints).mean(0)

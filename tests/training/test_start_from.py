@@ -31,7 +31,7 @@ def logged_terms(own: VaeModule, monkeypatch: pytest.MonkeyPatch) -> dict[str, f
         own, "log_dict", lambda values, **_: seen.update({name: value.item() for name, value in values.items()})
     )
     monkeypatch.setattr(own, "log", lambda *_, **__: None)
-    own.training_step((torch.randn(2, 24, 137), torch.ones(2, 24)), 0)
+    own.training_step((torch.randn(2, 40, 137), torch.ones(2, 40)), 0)
     return seen
 
 

@@ -11,6 +11,9 @@ from kinegraph.motion import features as layout
 from kinegraph.motion.skeleton import FEET, JOINTS, PARENTS
 from kinegraph_training.models.transformer import smooth_l1
 
+SPECTRA = (16, 32)
+"""Frames of the windows whose frequencies are compared: .8 and 1.6 s."""
+
 
 @dataclass(frozen=True)
 class ReconstructionLoss:
@@ -22,6 +25,9 @@ class ReconstructionLoss:
     feet: float = 8.0
     """Displacement of the feet over the floor from one frame to the next: what skating is made of."""
     bones: float = 2.0
+    spectra: float = 2.0
+    """How strongly every joint swings at every frequency, whatever its phase: held to positions alone, a wave of the
+    hand whose phase is not known is best drawn as a hand that stands still (a third of its path was left)."""
     windows: float = 1.0
     """Heading and place integrated over short windows. The whole integral (`path`) at full weight starves the pose."""
     root_features: float = 4.0
@@ -63,6 +69,14 @@ def window_path(features: Tensor, window: int) -> Tensor:
     return path.reshape(batch, count * size, 3)
 
 
+def spectrum(joints: Tensor, window: int) -> Tensor:
+    """Amplitudes in metres at the frequencies of overlapping Hann windows: (b, l, 22, 3) -> (b, n, 66, window / 2)."""
+    rows = joints.flatten(2).unfold(1, window, window // 2)
+    shape = torch.hann_window(window, device=joints.device) * (4.0 / window)
+    swings = torch.view_as_real(torch.fft.rfft(rows * shape)[..., 1:])
+    return torch.sqrt(swings.square().sum(dim=-1) + 1e-8)
+
+
 def foot_steps(features: Tensor, joints: Tensor) -> Tensor:
     """Displacement of the four foot joints over the floor, (b, l-1, 4, 3), from pose and root together."""
     feet = joints[:, :, list(FEET)]
@@ -98,6 +112,11 @@ def reconstruction_terms(
     for window in (8, 16):
         path_p, path_t = window_path(raw_p, window), window_path(raw_t, window)
         terms[f"window_{window}"] = weights.windows * masked_mean((path_p - path_t).abs(), mask[:, : path_p.shape[1]])
+    for window in SPECTRA:
+        if predicted.shape[1] >= window:
+            whole = mask.unfold(1, window, window // 2).amin(dim=-1)
+            difference = (spectrum(joints_p, window) - spectrum(joints_t, window)).abs().sum(dim=-1)
+            terms[f"spectra_{window}"] = weights.spectra * masked_mean(difference, whole)
     return terms
 
 

@@ -28,6 +28,13 @@ def foot_skate(joints: Joints) -> float:
     return float(speed[down].mean()) if down.any() else float("nan")
 
 
+def hand_speed(joints: Joints) -> float:
+    """Mean speed of the busier wrist around the pelvis, m/s."""
+    wrists = joints[:, [JOINT_INDEX["left_wrist"], JOINT_INDEX["right_wrist"]]] - joints[:, [JOINT_INDEX["pelvis"]]]
+    speed = np.linalg.norm(np.diff(wrists.astype(np.float64), axis=0), axis=-1) * FPS
+    return float(speed.mean(axis=0).max())
+
+
 def bone_error(joints: Joints, lengths: NDArray[np.float64]) -> float:
     """Mean absolute difference of the bones to `lengths` (21,), millimetres."""
     return float(np.abs(bone_lengths(joints) - lengths).mean() * 1000)

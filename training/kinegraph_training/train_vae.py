@@ -31,7 +31,9 @@ from kinegraph_training.training_run import last_checkpoint, optimiser, start_we
 PATH_WEIGHT = 0.1
 """Weight of the whole integral in the last third of a run, once poses are learnt."""
 
-MOTION_TERMS = frozenset(("bones", "velocities", "accelerations", "feet", "window_8", "window_16"))
+MOTION_TERMS = frozenset(
+    ("bones", "velocities", "accelerations", "feet", "window_8", "window_16", "spectra_16", "spectra_32")
+)
 """Held back at first: while poses are still wrong, a body that stands still has the smallest velocity error, and a
 run that starts with these terms never leaves that answer (82 mm after 1,000 steps)."""
 
