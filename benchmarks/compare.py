@@ -39,7 +39,7 @@ def prepare(variant: str, seed: int, options: argparse.Namespace) -> Path:
     """The folder of one run: links to the shared autoencoders and caches, and its preset."""
     run: Path = options.work / f"{variant}_seed{seed}"
     vaes = [f"vae_{level}" for level in LEVELS]
-    share(run, options.autoencoders, [*vaes, "captions.npz", "latents.pt", "states.npz"])
+    share(run, options.autoencoders, [*vaes, "captions.npz", "captions_masked.npz", "latents.pt", "states.npz"])
     base = HERE / "comparisons" / f"{variant}.toml"
     text = f'base = "{base}"\nseed = {seed}\n\n[denoiser_training]\nsteps = {options.steps}\n'
     (run / "preset.toml").write_text(text, encoding="utf-8")

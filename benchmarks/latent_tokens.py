@@ -67,7 +67,7 @@ def reconstructed(run: Path, data: Path) -> dict[str, dict[str, float]]:
 def measure(tokens: int, options: argparse.Namespace) -> dict[str, Any]:
     """One number of tokens, trained and measured."""
     run: Path = options.work / f"tokens_{tokens}_seed{options.seed}"
-    share(run, options.autoencoders, ["vae_motion", "vae_action", "captions.npz"])
+    share(run, options.autoencoders, ["vae_motion", "vae_action", "captions.npz", "captions_masked.npz"])
     (run / "preset.toml").write_text(preset(tokens, options), encoding="utf-8")
     train_vae(run, options)
     trained(run, options)

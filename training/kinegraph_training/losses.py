@@ -25,7 +25,7 @@ class ReconstructionLoss:
     feet: float = 8.0
     """Displacement of the feet over the floor from one frame to the next: what skating is made of."""
     bones: float = 2.0
-    spectra: float = 2.0
+    spectra: float = 4.0
     """How strongly every joint swings at every frequency, whatever its phase: held to positions alone, a wave of the
     hand whose phase is not known is best drawn as a hand that stands still (a third of its path was left)."""
     windows: float = 1.0
