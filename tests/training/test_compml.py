@@ -25,7 +25,7 @@ from kinegraph_training.config import DataConfig
 from kinegraph_training.data import MotionClip, mirrored_label, read_split
 from kinegraph_training.data_writer import PreparedClip, write_data
 from kinegraph_training.dataset import training_clips
-from kinegraph_training.measures import jerk
+from kinegraph_training.measures import hand_speed, jerk
 from kinegraph_training.phrases import LOCOMOTION
 
 needs_default = pytest.mark.skipif(not (DEFAULT_BUNDLE / "manifest.json").is_file(), reason="no default bundle")
@@ -171,6 +171,17 @@ def test_the_limit_is_the_worse_of_both_actions(data: Path) -> None:
     times = np.array([jerk(shaking(size)) for size in sizes]) / max(highest[each] for each in pair)
     below, above = sizes[times < 1.4][-1], sizes[times > 1.6][0]
     assert own.clean(shaking(below), pair) and not own.clean(shaking(above), pair)
+
+
+def test_hands_that_hardly_move_are_no_gesture(data: Path) -> None:
+    own = composer(data)
+    kind = ("wave-left-hand", "normal")
+    assert kind in own.slowest
+    recorded = next(joints for content, style, joints in RECORDED if (content, style) == kind)
+    assert own.slowest[kind] == pytest.approx(hand_speed(recorded), rel=0.02)
+    faint = recorded[:1] + 0.6 * (recorded - recorded[:1])
+    assert own.lively(recorded, kind) and own.lively(recorded[:1] + 0.8 * (recorded - recorded[:1]), kind)
+    assert not own.lively(faint, kind)
 
 
 def test_a_clip_that_is_never_clean_is_left_out_and_counted(data: Path, tmp_path: Path) -> None:

@@ -8,8 +8,10 @@ folder.
 What is composed: an action of the legs or of one arm with a gesture of a free arm, both recorded in one manner, as long
 as the recorded clip of the first. Pairs held out, and their mirror images, are never made; nor is an action in a manner
 that was not recorded. A clip that jerks or skates more than `LIMIT` times as much as every recorded clip of its two
-actions is drawn again. Whether it shows what its captions say is not looked at: that would train on the predicates that
-the benchmarks measure with. A stopped run goes on where it was; a larger --count adds to what is there.
+actions is drawn again, and so is one whose hands move less than the slowest recorded clip of the gesture by as much: a
+bundle that waves faintly would teach it. Whether it shows what its captions say is not looked at: that would train on
+the predicates that the benchmarks measure with. A stopped run goes on where it was; a larger --count adds to what is
+there.
 """
 
 from __future__ import annotations
@@ -37,11 +39,11 @@ from kinegraph.sessions import MAX_THREADS, available_cpus
 from kinegraph_training.compositions import HeldOut, drawn_pair, may_be_together, spliceable
 from kinegraph_training.data import MotionClip, read_split
 from kinegraph_training.data_writer import PreparedClip, write_data
-from kinegraph_training.measures import foot_skate, jerk
+from kinegraph_training.measures import foot_skate, hand_speed, jerk
 from kinegraph_training.phrases import concept_caption, splice_caption
 
 LIMIT: Final = 1.5
-"""Times the highest jerk and foot skate of recorded clips of the two actions."""
+"""Times the highest jerk and foot skate of recorded clips of the two actions; as much below the lowest hand speed."""
 ATTEMPTS: Final = 8
 """Draws for one clip; one that fails them all is left out, and counted."""
 PAIRS_DRAWN: Final = 10_000
@@ -74,6 +76,8 @@ class Composer:
     seed: int
     highest: Mapping[str, NDArray[np.float64]]
     """Per content (2,): the highest jerk and foot skate of its recorded clips."""
+    slowest: Mapping[tuple[str, str], float]
+    """Per content and manner: the lowest hand speed of its recorded clips."""
 
     def wish(self, number: int, attempt: int) -> Wish:
         """Drawn from the generator of this clip and attempt.
@@ -103,12 +107,17 @@ class Composer:
         # Feet that never touch the ground have no skate (NaN), and no fault.
         return jerk(joints) <= LIMIT * most[0] and not foot_skate(joints) > LIMIT * most[1]
 
+    def lively(self, joints: FloatArray, gesture: tuple[str, str]) -> bool:
+        """Whether the hands of a motion move nearly as much as in recorded clips of the gesture (content, manner)."""
+        return hand_speed(joints) * LIMIT >= self.slowest[gesture]
+
     def make(self, number: int) -> tuple[Wish, FloatArray, int]:
         """The first clean attempt, and how many came before it; no frames if none was."""
         for attempt in range(ATTEMPTS):
             wish = self.wish(number, attempt)
             clip = self.pipe.compose(wish.concepts, text=wish.captions[0], seconds=wish.seconds, seed=wish.seed)
-            if self.clean(clip.joints, wish.contents):
+            gesture = (wish.contents[1], wish.style)
+            if self.clean(clip.joints, wish.contents) and self.lively(clip.joints, gesture):
                 return wish, clip.joints, attempt
         return wish, clip.joints[:0], ATTEMPTS
 
@@ -128,7 +137,11 @@ def composer(pipe: MotionPipeline, data: Path, held_out: Path, seed: int) -> Com
         found.setdefault(clip.content, []).append((jerk(clip.joints), foot_skate(clip.joints)))
     # 0 beside NaN: an action whose feet were never on the floor
     highest = {content: np.nanmax([(0.0, 0.0), *rows], axis=0) for content, rows in found.items()}
-    return Composer(pipe, usable, HeldOut.read(held_out), seed, highest)
+    slowest: dict[tuple[str, str], float] = {}
+    for clip in usable:
+        kind = (clip.content, clip.style)
+        slowest[kind] = min(slowest.get(kind, np.inf), hand_speed(clip.joints))
+    return Composer(pipe, usable, HeldOut.read(held_out), seed, highest, slowest)
 
 
 def write_part(own: Composer, number: int, path: Path) -> None:
@@ -190,7 +203,8 @@ def origin_of(pipe: MotionPipeline, data: Path, held_out: Path, seed: int) -> di
         "held_out_sha256": hashlib.sha256(held_out.read_bytes()).hexdigest(),
         "seed": seed,
         "method": "fused (EnergyMoGen, Eq. 10), default shares, joint text from the captions",
-        "kept": f"jerk and foot skate at most {LIMIT:g} times the highest of recorded clips of either action",
+        "kept": f"jerk and foot skate at most {LIMIT:g} times the highest of recorded clips of either action, hands at "
+        f"least 1/{LIMIT:g} as fast as the slowest of the gesture",
         "licence": {
             "of": "these clips are made by the weights below: use and pass them on under the same terms only",
             "weights": manifest.licence.weights,
