@@ -22,7 +22,7 @@ async def main() -> None:
     for clip in clips:
         print(f"{clip.text}: {clip.frames} frames")
     try:
-        await generate(pipe, "a person runs", seconds=9, timeout=0.02)
+        await generate(pipe, "a person runs", seconds=9, timeout=0.001)
     except TimeoutError:
         print("a person runs: too late, stopped")
 

@@ -83,19 +83,21 @@ def available_cpus() -> int:
     return os.cpu_count() or 1
 
 
-def session_options(threads: int) -> onnxruntime.SessionOptions:
-    """Options of one session with a pool of `threads` that waits for work while it runs and sleeps between runs.
+def session_options(threads: int, *, spinning: bool = True) -> onnxruntime.SessionOptions:
+    """Options of one session with a pool of `threads` that waits for work while it runs and sleeps between runs; one
+    that is not `spinning` sleeps between operators too.
 
     By default onnxruntime's idle pools spin between runs too; with a session per graph they take the cores from the
     busy one (measured: three times slower on two cores, and half a core burnt between requests). Pools that never
-    spin are woken for every operator: a sample at the published size takes 38 ms in place of 28.
+    spin are woken for every operator: a sample at the published size takes 38 ms in place of 28. Beside busy
+    neighbours it is they who lose least.
     """
     options = onnxruntime.SessionOptions()
     options.intra_op_num_threads = threads
     options.inter_op_num_threads = 1
     options.execution_mode = onnxruntime.ExecutionMode.ORT_SEQUENTIAL
     options.log_severity_level = _ERRORS_ONLY
-    options.add_session_config_entry("session.intra_op.allow_spinning", "1" if threads > 1 else "0")
+    options.add_session_config_entry("session.intra_op.allow_spinning", "1" if spinning and threads > 1 else "0")
     options.add_session_config_entry("session.inter_op.allow_spinning", "0")
     options.add_session_config_entry("session.force_spinning_stop", "1")
     return options
@@ -112,8 +114,8 @@ def open_sessions(
 
     Args:
         bundle: read and checked by `read_bundle`.
-        threads: threads of every session. None: two at most, and one for the step sessions, which are too
-            small to gain from a second one and hold up better on a busy machine.
+        threads: threads of every session. None: two at most that never spin, and one for the step sessions, which are
+            too small to gain much from a second one and hold up better on a busy machine.
         options: the host's own options, used as they are for every session; not together with `threads`.
         files: content in place of `bundle.files`; each graph is taken out when its session is made, because both at
             once are twice the memory.
@@ -125,7 +127,7 @@ def open_sessions(
     """
     if threads is not None and options is not None:
         raise InvalidInputError("give either threads or session_options: the options hold a thread count already")
-    wide = options or session_options(_thread_count(threads, min(2, available_cpus())))
+    wide = options or session_options(_thread_count(threads, min(2, available_cpus())), spinning=threads is not None)
     narrow = options or session_options(_thread_count(threads, 1))
     contracts = bundle.manifest.contracts
 

@@ -49,6 +49,11 @@ def test_the_callers_thread_count_holds_for_all(bundle: Bundle, threads: int) ->
         assert session.get_session_options().intra_op_num_threads == threads
 
 
+def test_by_default_no_pool_spins(bundle: Bundle) -> None:
+    for session in every(open_sessions(bundle)).values():
+        assert session.get_session_options().get_session_config_entry("session.intra_op.allow_spinning") == "0"
+
+
 @pytest.mark.parametrize("threads", [1, 2])
 def test_pools_spin_while_they_run_only(bundle: Bundle, threads: int) -> None:
     for session in every(open_sessions(bundle, threads=threads)).values():

@@ -92,14 +92,15 @@ def solve_rotations(joints: Floats) -> SkeletonMotion:
     turned = local.copy()
     reached = np.zeros_like(seen)
     chest, trunk = list(CHILDREN[CHEST]), list(CHILDREN[0])
-    share = spine_twist(
-        _best_turn(offsets[trunk], seen[:, trunk] - seen[:, :1]),
-        _best_turn(offsets[chest], seen[:, chest] - seen[:, CHEST, None]),
-    ) / (1 + len(SPINE))
+    pelvis = _best_turn(offsets[trunk], seen[:, trunk] - seen[:, :1])
+    share = spine_twist(pelvis, _best_turn(offsets[chest], seen[:, chest] - seen[:, CHEST, None])) / (1 + len(SPINE))
+    # A pelvis is stiff and a generated one is not quite: what its turn cannot reach is shared by all of its joints.
+    missed = seen[:, trunk] - seen[:, :1] - rotate(pelvis[:, None], offsets[trunk])
+    root = seen[:, 0] + missed.sum(axis=1) / (1 + len(trunk))
     for joint in range(JOINTS):
         parent = PARENTS[joint]
         before = turned[:, parent] if joint else turned[:, joint]
-        reached[:, joint] = seen[:, 0] if not joint else reached[:, parent] + rotate(before, offsets[joint])
+        reached[:, joint] = root if not joint else reached[:, parent] + rotate(before, offsets[joint])
         children = list(CHILDREN[joint])
         # Aimed from where the bones so far have led, not from where the joint was seen: errors do not add up.
         goals = rotate(conjugate(before)[:, None], seen[:, children] - reached[:, joint, None])
@@ -116,7 +117,7 @@ def solve_rotations(joints: Floats) -> SkeletonMotion:
                 local[:, joint] = twisted(local[:, joint], offsets[children[0]], share)
         turned[:, joint] = multiply(before, local[:, joint])
     error = np.linalg.norm(reached - seen, axis=-1)
-    return SkeletonMotion(offsets, seen[:, 0].copy(), continuous(local), error)
+    return SkeletonMotion(offsets, root, continuous(local), error)
 
 
 def forward_kinematics(offsets: Floats, root: Floats, rotations: Floats) -> Floats:
