@@ -26,8 +26,8 @@ NEGATED: Final = -1.0
 leaves all of the other's; -0.5 takes .07. It also takes what the unwanted has in common with the wanted: "not runs"
 leaves .30 of the walks, and at -0.3 all of them (`benchmarks/composition_settings.py`)."""
 MAX_STEP_SIZE: Final = 1.0
-"""Of adaptive gradient descent. At 0.1 EnergyMoGen's motions are spoilt (Table 9) and the default bundle's are nearest to captured
-ones (`benchmarks/composition_settings.py`)."""
+"""Of adaptive gradient descent. At 0.1 EnergyMoGen's motions are spoilt (Table 9) and the default bundle's are nearest
+to captured ones (`benchmarks/composition_settings.py`)."""
 MAX_WEIGHT: Final = 10.0
 MIN_SUM: Final = 0.05
 MAX_RATIO: Final = 5.0
