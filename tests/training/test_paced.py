@@ -6,7 +6,10 @@ import json
 from pathlib import Path
 
 import numpy as np
+import pytest
 from motions import walk
+
+pytest.importorskip("torch")
 
 from kinegraph.motion.skeleton import bone_lengths
 from kinegraph_training.config import DataConfig
