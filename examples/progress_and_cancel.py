@@ -15,7 +15,7 @@ def show(step: StepInfo) -> bool:
 clip = pipe.generate("a person bows", seconds=3, seed=1, on_step=show)
 print(f"\r{clip.duration:g} seconds of motion".ljust(50))
 
-deadline = time.monotonic() + 0.02
+deadline = time.monotonic() + 0.002
 try:
     pipe.generate("a person runs", seconds=9, seed=1, on_step=lambda step: time.monotonic() < deadline)
     print("done in time")
