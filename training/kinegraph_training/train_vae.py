@@ -24,7 +24,7 @@ from kinegraph.motion.skeleton import FEET
 from kinegraph_training.batches import FrameBudgetSampler, cropped, padded
 from kinegraph_training.config import LEVELS, OptimiserConfig, Preset, read_preset
 from kinegraph_training.dataset import Dataset, training_set, validation_set
-from kinegraph_training.losses import ReconstructionLoss, kl_divergence, path_loss, reconstruction_terms
+from kinegraph_training.losses import SPECTRA, ReconstructionLoss, kl_divergence, path_loss, reconstruction_terms
 from kinegraph_training.models.vae import MotionVae, VaeConfig
 from kinegraph_training.training_run import last_checkpoint, optimiser, start_weights, trainer
 
@@ -32,7 +32,7 @@ PATH_WEIGHT = 0.1
 """Weight of the whole integral in the last third of a run, once poses are learnt."""
 
 MOTION_TERMS = frozenset(
-    ("bones", "velocities", "accelerations", "feet", "window_8", "window_16", "spectra_16", "spectra_32")
+    ("bones", "velocities", "accelerations", "feet", "window_8", "window_16", *(f"spectra_{size}" for size in SPECTRA))
 )
 """Held back at first: while poses are still wrong, a body that stands still has the smallest velocity error, and a
 run that starts with these terms never leaves that answer (82 mm after 1,000 steps)."""
