@@ -54,13 +54,30 @@ def test_who_knows_poses_is_held_to_their_motion_at_once(tmp_path: Path, monkeyp
 
 
 def test_weights_of_another_shape_or_none_are_refused(tmp_path: Path) -> None:
-    preset = read_preset("tiny")
-    motion = VaeModule(preset.vae["motion"], preset.vae_training["motion"], [0.0] * 137, [1.0] * 137)
-    torch.save({"state_dict": motion.state_dict()}, tmp_path / "motion.ckpt")
-    with pytest.raises(InvalidInputError, match="not this preset's"):
-        module(1).start_from(tmp_path / "motion.ckpt")
+    preset = read_preset("edge")
+    for level in ("motion", "specific"):
+        other = VaeModule(preset.vae[level], preset.vae_training[level], [0.0] * 137, [1.0] * 137)
+        torch.save({"state_dict": other.state_dict()}, tmp_path / "other.ckpt")
+        with pytest.raises(InvalidInputError, match="not this preset's"):
+            module(1).start_from(tmp_path / "other.ckpt")
     with pytest.raises(InvalidInputError, match="no such file"):
         module(1).start_from(tmp_path / "nothing.ckpt")
+
+
+def test_a_latent_of_twice_the_tokens_begins_with_each_of_them_twice(tmp_path: Path) -> None:
+    preset, own = read_preset("tiny"), module(1)
+    other = VaeModule(preset.vae["action"], preset.vae_training["action"], [0.0] * 137, [1.0] * 137)
+    torch.save({"state_dict": other.state_dict()}, tmp_path / "other.ckpt")
+    own.start_from(tmp_path / "other.ckpt")
+    mean, deviation = own.vae.query[:8], own.vae.query[8:]
+    for token in range(8):
+        assert torch.equal(own.vae.latent_position[token], other.vae.latent_position[token // 2])
+        assert torch.equal(mean[token], other.vae.query[token // 2])
+        assert torch.equal(deviation[token], other.vae.query[4 + token // 2])
+    # fewer tokens than there were, or a part of them more, is another network
+    torch.save({"state_dict": own.state_dict()}, tmp_path / "own.ckpt")
+    with pytest.raises(InvalidInputError, match="not this preset's"):
+        other.start_from(tmp_path / "own.ckpt")
 
 
 def test_a_decoder_alone_leaves_the_latent_where_it_was() -> None:

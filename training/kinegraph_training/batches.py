@@ -6,14 +6,24 @@ from collections.abc import Iterator
 
 import numpy as np
 import torch
-from torch import Tensor
+from torch import Tensor, distributed
 from torch.utils.data import Sampler
 
 from kinegraph.motion.skeleton import FloatArray
 
 
+def rank_and_world() -> tuple[int, int]:
+    """Which of the processes that train together this is, and how many there are."""
+    if not (distributed.is_available() and distributed.is_initialized()):
+        return 0, 1
+    return distributed.get_rank(), distributed.get_world_size()
+
+
 class FrameBudgetSampler(Sampler[list[int]]):
-    """Batches sorted by jittered length; the same seed and epoch give the same batches (so a resumed run goes on)."""
+    """Batches sorted by jittered length; the same seed and epoch give the same batches (so a resumed run goes on).
+
+    Processes that train together get equal shares of them: who had one more would wait for the others for ever.
+    """
 
     def __init__(self, lengths: list[int], budget: int, seed: int) -> None:
         self.lengths = np.array(lengths)
@@ -26,10 +36,15 @@ class FrameBudgetSampler(Sampler[list[int]]):
         self.epoch = epoch
 
     def __iter__(self) -> Iterator[list[int]]:
-        return iter(self.batches())
+        return iter(self.share(*rank_and_world()))
 
     def __len__(self) -> int:
-        return len(self.batches())
+        return len(self.batches()) // rank_and_world()[1]
+
+    def share(self, rank: int, world: int) -> list[list[int]]:
+        """Every world-th batch of an epoch; what is left over at its end is left out."""
+        batches = self.batches()
+        return batches[rank : len(batches) - len(batches) % world : world]
 
     def batches(self) -> list[list[int]]:
         """Indices per batch, in training order."""

@@ -17,6 +17,9 @@ from torch import nn
 from kinegraph.errors import InvalidInputError
 from kinegraph_training.config import OptimiserConfig
 
+PER_TOKEN = frozenset(("query", "latent_position", "position"))
+"""Parameters (tokens, width) of autoencoders and denoisers that belong to the tokens of their own latent."""
+
 
 class RampedEma(WeightAveraging):
     """Exponential moving average whose decay grows as (1 + n) / (10 + n), so that a short run is not stuck at its
@@ -68,6 +71,14 @@ class LastCheckpoint(ModelCheckpoint):
 
     def on_train_end(self, trainer: L.Trainer, pl_module: L.LightningModule) -> None:
         """Too late to save: the average has taken the place of the live weights, from which a run goes on."""
+
+
+class OwnNoise(L.Callback):
+    """Processes that train together begin with the same weights, then draw samples and noise of their own."""
+
+    def setup(self, trainer: L.Trainer, pl_module: L.LightningModule, stage: str) -> None:
+        if trainer.global_rank:
+            torch.manual_seed(torch.initial_seed() + trainer.global_rank)
 
 
 class Curves(L.Callback):
@@ -157,7 +168,9 @@ def trainer(run: Path, config: OptimiserConfig, *, validate_every: int, lightnin
         "log_every_n_steps": 50,
         "num_sanity_val_steps": 0,
         "enable_model_summary": False,
-        "callbacks": [LastCheckpoint(run, validate_every), RampedEma(config.ema), Curves()],
+        # FrameBudgetSampler hands out shares itself, and who draws at random needs none
+        "use_distributed_sampler": False,
+        "callbacks": [LastCheckpoint(run, validate_every), RampedEma(config.ema), OwnNoise(), Curves()],
         "logger": logger,
     }
     return L.Trainer(**(options | lightning))
@@ -166,6 +179,9 @@ def trainer(run: Path, config: OptimiserConfig, *, validate_every: int, lightnin
 def start_weights(module: nn.Module, checkpoint: Path, prefix: str) -> None:
     """Give a module the weights that another run's checkpoint holds under names that begin with `prefix`.
 
+    A latent of twice (three times ...) the tokens begins with each of them repeated: token k stands for the k-th part
+    of a clip, so its two halves begin as what it was.
+
     Raises:
         InvalidInputError: no such file, or weights of another shape.
     """
@@ -173,10 +189,17 @@ def start_weights(module: nn.Module, checkpoint: Path, prefix: str) -> None:
         raise InvalidInputError(f"--start-from {checkpoint}: there is no such file")
     weights = torch.load(checkpoint, map_location="cpu", weights_only=True)["state_dict"]
     own = {name.removeprefix(prefix): value for name, value in weights.items() if name.startswith(prefix)}
+    wanted = {name: len(value) for name, value in module.state_dict().items() if name.split(".")[-1] in PER_TOKEN}
+    own.update({name: repeated(own[name], tokens) for name, tokens in wanted.items() if name in own})
     try:
         module.load_state_dict(own)
     except RuntimeError as error:
         raise InvalidInputError(f"--start-from {checkpoint}: not this preset's network: {error}") from error
+
+
+def repeated(rows: torch.Tensor, count: int) -> torch.Tensor:
+    """(n, d) -> (count, d), each row as often as `count` holds n; unchanged where it does not."""
+    return rows if count % len(rows) else rows.repeat_interleave(count // len(rows), dim=0)
 
 
 def last_checkpoint(run: Path) -> str | None:

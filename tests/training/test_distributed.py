@@ -1,0 +1,56 @@
+"""Several processes train together (`--devices 2 --strategy ddp`, as the README says): autoencoder and denoisers."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+torch = pytest.importorskip("torch")
+pytest.importorskip("lightning")
+
+from toy_run import ASSETS, steps_of, write_walks  # noqa: E402
+
+from kinegraph_training.batches import FrameBudgetSampler  # noqa: E402
+
+TOGETHER = ("--accelerator", "cpu", "--devices", "2", "--strategy", "ddp", "--enable_progress_bar", "0")
+
+
+def trained_by_two(module: str, folder: Path, *words: str) -> str:
+    """What a stage prints that two processes train."""
+    own = ("--data", folder / "data", "--run", folder / "run", "--preset", "tiny", "--threads", "1")
+    command = [sys.executable, "-m", f"kinegraph_training.{module}", *map(str, own), *words, *TOGETHER]
+    paths = os.pathsep.join(part for part in sys.path if part)
+    done = subprocess.run(
+        command, capture_output=True, text=True, timeout=300, env=os.environ | {"PYTHONPATH": paths}, check=False
+    )
+    assert done.returncode == 0, done.stderr[-2000:]
+    return done.stdout + done.stderr
+
+
+@pytest.mark.skipif(not torch.distributed.is_available(), reason="this torch cannot train in several processes")
+def test_two_processes_train_every_stage(tmp_path: Path) -> None:
+    write_walks(tmp_path / "data")
+    for level in ("motion", "action", "specific"):
+        said = trained_by_two("train_vae", tmp_path, "--level", level)
+    trained_by_two("train_denoisers", tmp_path, "--assets", str(ASSETS))
+    assert "MEMBER: 2/2" in said, "two processes there were"
+    for stage in ("vae_specific", "denoisers"):
+        found = tmp_path / "run" / stage / "last.ckpt"
+        assert steps_of(found) == 6
+        weights = torch.load(found, weights_only=True)["state_dict"].values()
+        assert all(torch.isfinite(value).all() for value in weights)
+
+
+def test_shares_are_equal_and_have_no_clip_twice() -> None:
+    sampler = FrameBudgetSampler([40 + number % 30 for number in range(101)], 300, seed=3)
+    whole = {number for batch in sampler for number in batch}
+    shares = [sampler.share(rank, 3) for rank in range(3)]
+    assert len({len(share) for share in shares}) == 1
+    numbers = [number for share in shares for batch in share for number in batch]
+    assert len(set(numbers)) == len(numbers)
+    assert whole == set(range(101)) and len(numbers) > 80
+    assert len(sampler) == len(list(sampler))
