@@ -110,7 +110,7 @@ def _parse_one(options: argparse.Namespace) -> int:
     else:
         from kinegraph.formats.graph_svg import graph_svg
 
-        write_atomically(options.svg, graph_svg(graph).encode())
+        write_atomically(options.svg, graph_svg(graph).encode(), force=options.force)
         print(as_json({"file": str(options.svg)}) if options.json else options.svg)
     return 0
 

@@ -6,7 +6,7 @@ import argparse
 from functools import partial
 from pathlib import Path
 
-from kinegraph.cli_input import level_numbers, level_steps, named
+from kinegraph.cli_input import level_numbers, level_steps, named, part_seconds
 
 
 def add_bundle(parser: argparse.ArgumentParser) -> None:
@@ -86,11 +86,22 @@ def add_compose(parser: argparse.ArgumentParser) -> None:
 
 def add_sequence(parser: argparse.ArgumentParser) -> None:
     """Arguments of `sequence`."""
-    parser.add_argument("texts", nargs="+", metavar="TEXT", help="sentences in order; --seconds is the length of each")
-    _add_sampling(parser)
+    parser.add_argument("texts", nargs="+", metavar="TEXT", help="sentences in order")
+    parser.add_argument(
+        "--seconds",
+        type=part_seconds,
+        metavar="S[,S...]",
+        help="length of each before the joins, or one for every sentence; without it the sentences decide",
+    )
+    _add_making(parser)
 
 
 def _add_sampling(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--seconds", type=float, metavar="S", help="length; without it the sentence decides")
+    _add_making(parser)
+
+
+def _add_making(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "-o",
         "--output",
@@ -102,7 +113,6 @@ def _add_sampling(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--names", default="smpl", metavar="CONVENTION", help="joint names in .bvh and .glb: smpl (default) or mixamo"
     )
-    parser.add_argument("--seconds", type=float, metavar="S", help="length; without it the sentence decides")
     parser.add_argument("--fps", type=float, metavar="N", help="frames per second of the file; default: the model's 20")
     parser.add_argument("--in-place", action="store_true", help="without travel over the floor")
     parser.add_argument("--loop", action="store_true", help="cut and blended so that the end leads into the beginning")

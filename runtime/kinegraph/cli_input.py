@@ -53,6 +53,15 @@ def level_numbers(text: str) -> float | tuple[float, ...]:
     return numbers[0] if len(numbers) == 1 else numbers
 
 
+def part_seconds(text: str) -> float | list[float]:
+    """`3` or `3,2,3`; the argparse type of `--seconds` of a sequence."""
+    try:
+        numbers = [float(part) for part in text.split(",")]
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"{text!r} is no length, and no list of them like 3,2,3") from None
+    return numbers[0] if len(numbers) == 1 else numbers
+
+
 def weighted(text: str) -> tuple[str, float | None]:
     """`a person walks:0.8` -> its sentence and weight; without a number at the end there is none."""
     sentence, colon, number = text.rpartition(":")

@@ -146,6 +146,6 @@ def _report(record: dict[str, Any], options: argparse.Namespace) -> None:
 
 def _finished(clip: Clip, options: argparse.Namespace) -> Clip:
     """As the file wants it: loop and travel first, the frame rate last."""
-    clip = clip.looped() if options.loop else clip
+    clip = clip.looped(foot_fix=options.foot_fix) if options.loop else clip
     clip = clip.in_place() if options.in_place else clip
     return clip if options.fps is None else clip.resampled(options.fps)

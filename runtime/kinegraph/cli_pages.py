@@ -22,7 +22,7 @@ def view(options: argparse.Namespace) -> int:
         check_target(options.output, options.force, (".html",))
     data = page([read_npz(path) for path in options.clips])
     target = options.output or Path(tempfile.mkdtemp(prefix="kinegraph-")) / "clips.html"
-    write_atomically(target, data)
+    write_atomically(target, data, force=options.force)
     print(target)
     if options.browser:
         webbrowser.open(target.resolve().as_uri())

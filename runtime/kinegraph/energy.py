@@ -81,7 +81,7 @@ class EnergyMaps:
         check_target(path, force, (".png",))
         from kinegraph.formats.energy_png import encode  # matplotlib is an extra
 
-        write_atomically(path, encode(self))
+        write_atomically(path, encode(self), force=force)
 
 
 @dataclass

@@ -8,11 +8,10 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from numbers import Integral, Real
 from types import MappingProxyType
-from typing import Any, Final, TypeVar
+from typing import Final, TypeVar
 
 from kinegraph.contract import LEVELS
 from kinegraph.errors import InvalidInputError
-from kinegraph.limits import MAX_TAKES
 from kinegraph.manifest import Manifest, ScheduleSpec
 
 MAX_GUIDANCE: Final = 20.0
@@ -71,49 +70,11 @@ def generate_options(
     return GenerateOptions(
         frames=frames,
         seconds=frames / manifest.fps,
-        seed=_seed(seed),
+        seed=checked_seed(seed),
         steps=_per_level(steps, "steps", manifest.defaults.steps, checked_steps),
         guidance=_per_level(guidance, "guidance", manifest.defaults.guidance, _guidance),
         foot_fix=_flag(foot_fix, "foot_fix"),
     )
-
-
-def batch_seeds(first: int, texts: int, takes: object) -> list[int]:
-    """The seeds of a batch, one after another.
-
-    Raises:
-        InvalidInputError: takes that are no whole number, more than `limits.MAX_TAKES` clips, or seeds that end beyond
-            the largest.
-    """
-    number = _whole(takes)
-    if number is None or not 1 <= number <= MAX_TAKES:
-        raise InvalidInputError(f"takes must be a whole number from 1 to {MAX_TAKES}, not {_shown(takes)}")
-    if texts * number > MAX_TAKES:
-        raise InvalidInputError(f"{texts} sentences of {number} takes; {MAX_TAKES} clips at most share a run")
-    return [_seed(first + place) for place in range(texts * number)]
-
-
-def part_lengths(texts: object, seconds: object, most: int, what: str) -> list[Any]:
-    """The length of every sentence of several; None where the sentence decides.
-
-    Args:
-        texts: of a sequence or a batch.
-        seconds: one length, one per sentence, or None.
-        most: sentences allowed.
-        what: "a sequence" or "a batch", for messages.
-
-    Raises:
-        InvalidInputError: no list of 1 to `most` sentences, or lengths that are not as many.
-    """
-    if isinstance(texts, str) or not isinstance(texts, Sequence):
-        raise InvalidInputError(f"{what} takes a list of sentences")
-    if not 1 <= len(texts) <= most:
-        raise InvalidInputError(f"{what} has 1 to {most} sentences, not {len(texts)}")
-    if not isinstance(seconds, list | tuple):
-        return [seconds] * len(texts)
-    if len(seconds) != len(texts):
-        raise InvalidInputError(f"seconds has {len(seconds)} lengths for {len(texts)} sentences")
-    return list(seconds)
 
 
 def frame_count(manifest: Manifest, seconds: float) -> int:
@@ -132,21 +93,26 @@ def frame_count(manifest: Manifest, seconds: float) -> int:
     return min(max(round(frames), manifest.frames.min), manifest.frames.max)
 
 
-def _seed(seed: object) -> int:
+def checked_seed(seed: object) -> int:
+    """The seed itself, or a new one for None.
+
+    Raises:
+        InvalidInputError: no whole number from 0 to 2**63 - 1.
+    """
     if seed is None:
         # 32 bits are plenty of takes, and short enough to type again.
         return secrets.randbelow(2**32)
-    number = _whole(seed)
+    number = whole_number(seed)
     if number is None or not 0 <= number < MAX_SEED:
-        raise InvalidInputError(f"seed must be a whole number from 0 to 2**63 - 1, not {_shown(seed)}")
+        raise InvalidInputError(f"seed must be a whole number from 0 to 2**63 - 1, not {shown(seed)}")
     return number
 
 
 def _steps(value: object, name: str, schedule: ScheduleSpec) -> int:
     most = schedule.train_steps
-    steps = _whole(value)
+    steps = whole_number(value)
     if steps is None or not 1 <= steps <= most:
-        raise InvalidInputError(f"{name} must be a whole number from 1 to {most}, not {_shown(value)}")
+        raise InvalidInputError(f"{name} must be a whole number from 1 to {most}, not {shown(value)}")
     try:
         schedule.noise.timesteps(steps)
     except InvalidInputError as error:
@@ -170,7 +136,7 @@ def _per_level(
     if isinstance(wish, Mapping):
         for level in wish:
             if level not in LEVELS:
-                raise InvalidInputError(f"{name}: unknown level {_shown(level)}; the levels are {list(LEVELS)}")
+                raise InvalidInputError(f"{name}: unknown level {shown(level)}; the levels are {list(LEVELS)}")
         given: dict[str, object] = dict(wish)
     elif isinstance(wish, list | tuple):
         if len(wish) != len(LEVELS):
@@ -188,18 +154,19 @@ def _per_level(
 
 def _flag(value: object, name: str) -> bool:
     if not isinstance(value, bool):
-        raise InvalidInputError(f"{name} must be True or False, not {_shown(value)}")
+        raise InvalidInputError(f"{name} must be True or False, not {shown(value)}")
     return value
 
 
-def _whole(value: object) -> int | None:
+def whole_number(value: object) -> int | None:
+    """A value as an int, None where it is no whole number."""
     # bool is an int to Python, but nobody means seed=True; numpy's integers are Integral.
     return int(value) if isinstance(value, Integral) and not isinstance(value, bool) else None
 
 
 def _finite(value: object, name: str, allowed: str) -> float:
     if isinstance(value, bool) or not isinstance(value, Real):
-        raise InvalidInputError(f"{name} {allowed}, not {_shown(value)}")
+        raise InvalidInputError(f"{name} {allowed}, not {shown(value)}")
     try:
         number = float(value)
     except OverflowError:  # an integer beyond 1e308
@@ -209,7 +176,7 @@ def _finite(value: object, name: str, allowed: str) -> float:
     return number
 
 
-def _shown(value: object) -> str:
+def shown(value: object) -> str:
     """A short text for a message, whatever the caller passed: some reprs are megabytes, some raise."""
     if isinstance(value, int) and abs(value) >= 10**40:
         return "a number of more than 40 digits"

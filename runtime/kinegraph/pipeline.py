@@ -27,7 +27,8 @@ from kinegraph.limits import MAX_PARTS, MAX_TAKES
 from kinegraph.manifest import Manifest
 from kinegraph.motion.clip import Clip
 from kinegraph.motion.joining import joined
-from kinegraph.options import GenerateOptions, Guidance, Steps, batch_seeds, generate_options, part_lengths
+from kinegraph.options import GenerateOptions, Guidance, Steps, generate_options
+from kinegraph.parts import batch_seeds, part_captions, part_lengths
 from kinegraph.sessions import Sessions, open_sessions
 from kinegraph.tables import bones_of
 from kinegraph.text.parser import LazyParser, check_caption
@@ -215,16 +216,14 @@ class MotionPipeline:
         wishes: dict[str, Any] = {"steps": steps, "guidance": guidance, "foot_fix": foot_fix}
         options = [generate_options(self.manifest, seconds=length, seed=seed, **wishes) for length in lengths]
         graphs = [self._graph(text) for text in texts]
-        first = options[0].seed
+        seeds = batch_seeds(options[0].seed, len(texts), takes=1)
         clips = [
-            self.generate(
-                graph, seconds=length, seed=first + place, on_step=part_of(on_step, place, len(texts)), **wishes
-            )
-            for place, (graph, length) in enumerate(zip(graphs, lengths, strict=True))
+            self.generate(graph, seconds=length, seed=own, on_step=part_of(on_step, place, len(texts)), **wishes)
+            for place, (graph, length, own) in enumerate(zip(graphs, lengths, seeds, strict=True))
         ]
-        joints = joined([clip.joints for clip in clips], self.manifest.fps)
+        joints = joined([clip.joints for clip in clips], self.manifest.fps, foot_fix=foot_fix)
         own = clips[0].graph if len(clips) == 1 else None
-        return replace(clips[0], joints=joints, text=", then ".join(clip.text for clip in clips), graph=own)
+        return replace(clips[0], joints=joints, text=part_captions([clip.text for clip in clips]), graph=own)
 
     def compose(
         self,

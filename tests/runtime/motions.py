@@ -99,18 +99,18 @@ def walk(frames: int = 60, *, turning: float = 0.0, heading: float = 0.0, speed:
     return joints.astype(np.float32)
 
 
-def world_turns(joints: np.ndarray) -> np.ndarray:
+def world_turns(joints: np.ndarray, fps: float = 20.0) -> np.ndarray:
     """(frames, 22, 4) solved turns of every joint in the world."""
-    turns = np.array(solve_rotations(joints).rotations)
+    turns = np.array(solve_rotations(joints, fps).rotations)
     for joint in range(1, len(PARENTS)):
         turns[:, joint] = multiply(turns[:, PARENTS[joint]], turns[:, joint])
     return turns
 
 
-def largest_twist(joints: np.ndarray) -> float:
+def largest_twist(joints: np.ndarray, fps: float = 20.0) -> float:
     """Degrees by which a limb turns about its own length from one frame to the next, at most: what is left of a joint's
     turn when the shortest turn that moves its bone is taken away."""
-    turns, largest = world_turns(joints), 0.0
+    turns, largest = world_turns(joints, fps), 0.0
     for joint, children in enumerate(CHILDREN):
         if len(children) == 1:
             bone = normalised((joints[:, children[0]] - joints[:, joint]).astype(np.float64))

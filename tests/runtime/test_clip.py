@@ -68,6 +68,9 @@ def broken(value: float) -> np.ndarray:
         ({"fps": float("inf")}, "fps"),
         ({"fps": True}, "fps"),
         ({"fps": "20"}, "fps"),
+        ({"fps": 1e300}, "fps"),
+        ({"fps": 0.5}, "fps"),
+        ({"text": "half a pair \ud800"}, "surrogate"),
         ({"seed": -1}, "seed"),
         ({"seed": 2**63}, "seed"),
         ({"seed": 1.5}, "seed"),
@@ -225,3 +228,46 @@ def test_an_interrupt_leaves_no_rest(tmp_path: Path, monkeypatch: pytest.MonkeyP
     with pytest.raises(KeyboardInterrupt):
         clip().save(tmp_path / "walk.npz")
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_file_that_comes_while_the_clip_is_written_is_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    target = tmp_path / "walk.json"
+
+    def slow(_: Clip) -> bytes:
+        target.write_text("of somebody else")
+        return b"ours"
+
+    monkeypatch.setattr("kinegraph.formats.json_text.encode", slow)
+    with pytest.raises(OutputError, match="exists"):
+        clip().save(target)
+    assert target.read_text() == "of somebody else" and [each.name for each in tmp_path.iterdir()] == ["walk.json"]
+    clip().save(target, force=True)
+    assert target.read_text() == "ours"
+
+
+@pytest.mark.parametrize("there", [False, True])
+def test_where_files_cannot_be_linked_they_are_renamed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, there: bool
+) -> None:
+    def refused(*_: object) -> None:
+        if there:
+            (tmp_path / "walk.json").write_text("of somebody else")
+        raise OSError(errno.EPERM, "no links here")
+
+    monkeypatch.setattr(os, "link", refused)
+    if there:
+        with pytest.raises(OutputError, match="exists"):
+            clip().save(tmp_path / "walk.json")
+    else:
+        clip().save(tmp_path / "walk.json")
+    assert [each.name for each in tmp_path.iterdir()] == ["walk.json"]
+
+
+def test_a_place_where_nothing_can_be_taken_away_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def read_only(*_: object, **__: object) -> None:
+        raise OSError(errno.EROFS, "Read-only file system")
+
+    monkeypatch.setattr(os, "open", read_only)
+    monkeypatch.setattr(Path, "unlink", read_only)
+    with pytest.raises(OutputError, match="Read-only"):
+        clip().save(tmp_path / "walk.json")

@@ -14,17 +14,13 @@ from motions import recorded, walk
 from kinegraph import Cancelled, InvalidInputError, MotionPipeline, cli
 from kinegraph.bundle import DEFAULT_BUNDLE
 from kinegraph.encoding import Encoders
-from kinegraph.motion.joining import best_join, joined
-from kinegraph.motion.skeleton import bone_lengths, facing_angle
+from kinegraph.motion.joining import BLEND_SECONDS, best_blend, best_join, joined
+from kinegraph.motion.poses import accelerations
+from kinegraph.motion.skeleton import JOINT_INDEX, bone_lengths, facing_angle
 
 FPS = 20.0
 needs_default = pytest.mark.skipif(not (DEFAULT_BUNDLE / "manifest.json").is_file(), reason="no default bundle")
 FEW: dict[str, Any] = {"steps": (3, 3, 4), "seed": 4}
-
-
-def acceleration(joints: np.ndarray) -> np.ndarray:
-    """(frames - 2,) largest over joints, m/s^2."""
-    return np.linalg.norm(np.diff(joints.astype(np.float64), n=2, axis=0), axis=-1).max(axis=1) * FPS**2
 
 
 def test_one_clip_is_itself() -> None:
@@ -39,7 +35,7 @@ def test_two_halves_of_a_walk_become_the_walk_again() -> None:
     a, b = best_join(first, second, 10, FPS)
     assert (a - b) % 18 in (3, 4, 5) or abs(a - (40 + b)) <= 1  # the same phase of the step (18 frames)
     found = joined([first, second], FPS)
-    assert acceleration(found).max() < 1.5 * acceleration(whole).max()
+    assert accelerations(found, FPS).max() < 1.5 * accelerations(whole, FPS).max()
 
 
 @pytest.mark.parametrize("headings", [(0.0, 2.0), (1.0, -3.0)])
@@ -52,16 +48,42 @@ def test_the_second_clip_goes_on_where_the_first_looks(headings: tuple[float, fl
 
 
 def test_recorded_clips_join_without_a_jump() -> None:
-    clips = recorded(count=12)
+    clips = recorded(count=24)
     for first, second in zip(clips[::2], clips[1::2], strict=False):
         found = joined([first, second], FPS)
         assert np.isfinite(found).all() and len(found) >= 0.5 * (len(first) + len(second))
-        own = np.concatenate([acceleration(first), acceleration(second)])
-        window = round(0.5 * FPS)
-        a, _ = best_join(first, second, window, FPS)
-        assert acceleration(found)[max(0, a - 3) : a + window + 3].max() <= 2 * max(np.quantile(own, 0.95), 10.0)
+        own = np.concatenate([accelerations(first, FPS), accelerations(second, FPS)])
+        blend = best_blend(first, second, FPS)
+        # and while feet come to be held beside it, a fifth of a second
+        held = accelerations(found, FPS)[max(0, blend.start - 6) : blend.start + blend.frames + 4]
+        assert held.max() <= 2 * max(np.quantile(own, 0.95), 10.0)
         lengths = bone_lengths(found)
         np.testing.assert_allclose(lengths, np.broadcast_to(lengths[:1], lengths.shape), atol=2e-3)
+
+
+def test_hands_that_have_far_to_go_take_longer() -> None:
+    low = np.repeat(walk(1), 60, axis=0)
+    high = low.copy()
+    arm = [JOINT_INDEX[name] for name in ("left_elbow", "left_wrist")]
+    shoulder = low[:, [JOINT_INDEX["left_shoulder"]]]
+    high[:, arm] = shoulder - (low[:, arm] - shoulder) * np.array([-1, 1, 1], dtype=np.float32)
+    swaying = 0.002 * np.sin(np.arange(60) / 2).astype(np.float32)[:, None, None]
+    clips = [low + swaying, high + swaying]
+    assert best_blend(*clips, FPS).frames == round(BLEND_SECONDS[-1] * FPS) > best_blend(clips[0], clips[0], FPS).frames
+    found = joined(clips, FPS)
+    # the arm goes round, it does not shrink
+    lengths = bone_lengths(found)
+    np.testing.assert_allclose(lengths, np.broadcast_to(lengths[:1], lengths.shape), atol=2e-3)
+
+
+def test_feet_stand_while_one_clip_becomes_the_next_unless_they_are_left_alone() -> None:
+    drift = 0.002 * np.arange(40, dtype=np.float32)[:, None, None] * np.array([1, 0, 0], dtype=np.float32)
+    clips = [np.repeat(walk(1), 40, axis=0) + sign * drift for sign in (1, -1)]
+    held, left = joined(clips, FPS), joined(clips, FPS, foot_fix=False)
+    for toe in (JOINT_INDEX["left_foot"], JOINT_INDEX["right_foot"]):
+        speed = [np.linalg.norm(np.diff(found[:, toe][:, [0, 2]], axis=0), axis=-1) * FPS for found in (held, left)]
+        assert speed[0].mean() < 0.1 * speed[1].mean()
+    np.testing.assert_allclose(left[:20], clips[0][:20], atol=1e-5)
 
 
 @pytest.mark.parametrize("frames", [2, 4, 9])
@@ -77,6 +99,7 @@ def test_a_sequence_of_sentences() -> None:
     texts = ["a person walks forward", "a person turns left", "a person bows"]
     clip = pipe.sequence(texts, seconds=[2, 2, 3], **FEW)
     assert clip.text == "a person walks forward, then a person turns left, then a person bows"
+    assert pipe.sequence([texts[0], "then bows"], seconds=2, **FEW).text == "a person walks forward, then bows"
     assert 3.0 < clip.duration < 7.0 and clip.seed == 4
     np.testing.assert_array_equal(clip.joints, pipe.sequence(texts, seconds=[2, 2, 3], **FEW).joints)
     single = pipe.sequence(texts[:1], seconds=2, **FEW)
@@ -105,6 +128,7 @@ def test_progress_of_a_sequence_goes_once_from_start_to_end_and_can_stop() -> No
         (["a person walks", ""], 2, "caption is empty"),
         (["a person walks", "a person bows"], [2], "seconds has 1 lengths for 2 sentences"),
         (["a person walks", "a person bows"], [2, 99], "seconds must be"),
+        (["a person walks", "a person bows"], 2, "seed must be"),
     ],
 )
 def test_a_wrong_sequence_is_refused_before_a_model_runs(
@@ -118,7 +142,7 @@ def test_a_wrong_sequence_is_refused_before_a_model_runs(
 
     monkeypatch.setattr(Encoders, "arrays", never)
     with pytest.raises(InvalidInputError, match=message):
-        pipe.sequence(texts, seconds=seconds, seed=1)
+        pipe.sequence(texts, seconds=seconds, seed=2**63 - 1 if message.startswith("seed") else 1)
 
 
 @needs_default
@@ -132,3 +156,11 @@ def test_on_the_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str])
     with np.load(target) as stored:
         assert stored["text"] == "a person walks, then a person bows"
     assert "exists" in fails(capsys, *words)
+    other = str(tmp_path / "other.npz")
+    assert cli.main([*words[:-1], other, "--seconds", "2,3"]) == 0
+    assert json.loads(capsys.readouterr().out)["seconds"] > record["seconds"]
+    again = [*words[:-1], str(tmp_path / "third.npz"), "--seconds"]
+    assert "seconds has 3 lengths for 2 sentences" in fails(capsys, *again, "2,3,2")
+    with pytest.raises(SystemExit):
+        cli.main([*again, "2,x"])
+    assert "no list of them" in capsys.readouterr().err

@@ -73,7 +73,7 @@ def test_the_twist_of_a_turn_is_that_of_the_textbook() -> None:
 def test_a_limb_that_flips_would_be_seen(monkeypatch: pytest.MonkeyPatch) -> None:
     assert largest_twist(walk(40)) < 45
     monkeypatch.setattr(
-        "kinegraph.motion.rotations.hinge_twist", lambda _, goal, *rest: np.pi * (np.arange(len(goal)) == 20)
+        "kinegraph.motion.rotations.hinge_twist", lambda _, goal, *rest, **more: np.pi * (np.arange(len(goal)) == 20)
     )
     assert largest_twist(walk(40)) > 150
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import secrets
 import stat
@@ -37,7 +38,7 @@ def check_target(path: str | os.PathLike[str], force: bool = False, suffixes: Co
     if not stat.S_ISREG(mode):
         raise OutputError(f"{name} is a device or pipe, not a file; name a file")
     if not force:
-        raise OutputError(f"{name} exists; choose another name, or replace it with force (--force)")
+        raise OutputError(_exists(name))
     if not os.access(target, os.W_OK):
         raise OutputError(f"{name} is write-protected; make it writable or choose another name")
 
@@ -56,35 +57,63 @@ def suffix_of(path: str | os.PathLike[str], suffixes: Collection[str] = tuple(WR
     return suffix
 
 
-def write_atomically(path: str | os.PathLike[str], data: bytes) -> None:
+def write_atomically(path: str | os.PathLike[str], data: bytes, *, force: bool = True) -> None:
     """Write a file under a temporary name in the same folder, then rename it.
 
     A link is followed: the file it names is replaced, not the link.
 
+    Args:
+        path: file to write.
+        data: what it holds.
+        force: replace a file that is there, also one that came while `data` was made.
+
     Raises:
-        OutputError: the disk is full, or the folder cannot be written; the target is as it was before.
+        OutputError: the disk is full, the folder cannot be written, or there is a file and no `force`; the target is
+            as it was before.
     """
     target = Path(os.path.realpath(path))
     temporary = target.parent / f".kinegraph-{secrets.token_hex(8)}.tmp"
     try:
-        _write_and_rename(temporary, target, data)
+        _write(temporary, data)
+        _rename(temporary, target, force)
+    except FileExistsError as error:
+        raise OutputError(_exists(repr(str(path)))) from error
     except OSError as error:
         raise OutputError(
             f"{str(path)!r} cannot be written ({_reason(error)}); free some space or choose another folder"
         ) from error
     finally:
-        # Gone already if the rename took place; left behind by nothing, not even Ctrl-C.
-        temporary.unlink(missing_ok=True)
+        # Gone already if the rename took place; left behind by nothing, not even Ctrl-C. Where nothing may be written
+        # there is nothing to take away, and the reason has been given.
+        with contextlib.suppress(OSError):
+            temporary.unlink(missing_ok=True)
 
 
-def _write_and_rename(temporary: Path, target: Path, data: bytes) -> None:
+def _write(temporary: Path, data: bytes) -> None:
     # Not tempfile: its files are private (0600), and a clip should have the permissions of any new file.
     handle = os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_EXCL | getattr(os, "O_BINARY", 0), 0o666)
     with os.fdopen(handle, "wb") as file:
         file.write(data)
         file.flush()
         os.fsync(file.fileno())
+
+
+def _rename(temporary: Path, target: Path, force: bool) -> None:
+    """Give a file its name; without `force` in one step that fails where there is one of that name."""
+    if not force:
+        try:
+            os.link(temporary, target)
+            return
+        except FileExistsError:
+            raise
+        except (OSError, AttributeError, NotImplementedError):  # a file system or system without hard links
+            if target.exists():
+                raise FileExistsError(str(target)) from None
     temporary.replace(target)
+
+
+def _exists(name: str) -> str:
+    return f"{name} exists; choose another name, or replace it with force (--force)"
 
 
 def _mode(path: Path) -> int | None:

@@ -35,7 +35,7 @@ END_SITES: Final[dict[str, tuple[float, float, float]]] = {
 
 def encode(clip: Clip, names: str = DEFAULT_NAMES) -> bytes:
     """The file of a clip; `names` is one of `joint_names.CONVENTIONS`."""
-    motion = solve_rotations(clip.joints)
+    motion = solve_rotations(clip.joints, clip.fps, loops=clip.loops)
     order = _depth_first(0)
     angles = np.degrees(euler_zxy(to_matrix(motion.rotations)))[:, order]
     rows = np.concatenate([motion.root * CENTIMETRES, angles.reshape(clip.frames, -1)], axis=1)

@@ -21,7 +21,7 @@ def encode(clip: Clip) -> bytes:
     from PIL import Image
 
     every = int(np.ceil(clip.fps / MOST_FPS))
-    frames = [picture(pose) for pose in clip.joints[::every]]
+    frames = [picture(pose) for pose in clip.shown[::every]]
     palette = frames[0].quantize(32)
     pictures = [frame.quantize(palette=palette, dither=Image.Dither.NONE) for frame in frames]
     # hundredths of a second are all that the format knows; rounding errors must not add up

@@ -55,7 +55,7 @@ class _Buffer:
 
 def encode(clip: Clip, names: str = DEFAULT_NAMES) -> bytes:
     """The file of a clip; `names` is one of `joint_names.CONVENTIONS`."""
-    motion = solve_rotations(clip.joints)
+    motion = solve_rotations(clip.joints, clip.fps, loops=clip.loops)
     still = np.zeros((1, JOINTS, 4)) + np.array([1.0, 0.0, 0.0, 0.0])
     rest = forward_kinematics(motion.rest_offsets, np.zeros((1, 3)), still)[0]
     buffer = _Buffer()

@@ -25,7 +25,7 @@ DIGITS: Final = 5
 
 def encode(clip: Clip) -> bytes:
     """The file of a clip, UTF-8; equal clips give equal bytes."""
-    motion = solve_rotations(clip.joints)
+    motion = solve_rotations(clip.joints, clip.fps, loops=clip.loops)
     document = {
         "text": clip.text,
         "seed": str(clip.seed),
@@ -37,7 +37,7 @@ def encode(clip: Clip) -> bytes:
         "joints": _rounded(clip.joints),
         "rotations": _rounded(motion.rotations),
     }
-    return json.dumps(document, ensure_ascii=False, separators=(",", ":")).encode(errors="backslashreplace")
+    return json.dumps(document, ensure_ascii=False, separators=(",", ":")).encode()
 
 
 def _rounded(values: NDArray[Any]) -> Any:

@@ -43,7 +43,7 @@ def encode(clip: Clip) -> bytes:
         stream.pix_fmt = "yuv420p"  # the one that every player knows
         # how a picture is split among threads shows in its bytes, and would differ with the number of cores
         stream.thread_count = 1
-        for pose in clip.joints:
+        for pose in clip.shown:
             file.mux(stream.encode(av.VideoFrame.from_ndarray(np.asarray(picture(pose, SCALE)))))
         file.mux(stream.encode(None))
     return buffer.getvalue()

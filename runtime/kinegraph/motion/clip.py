@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import os
 from dataclasses import dataclass, replace
 
@@ -13,7 +12,8 @@ from kinegraph.formats import encode
 from kinegraph.formats.atomic import check_target, suffix_of, write_atomically
 from kinegraph.formats.joint_names import DEFAULT_NAMES
 from kinegraph.graph import SemanticGraph
-from kinegraph.motion.retiming import check_fps, in_place, looped, resampled
+from kinegraph.motion.looping import looped
+from kinegraph.motion.retiming import check_fps, in_place, resampled
 from kinegraph.motion.skeleton import JOINTS, FloatArray
 
 __all__ = ["Clip", "check_target"]
@@ -31,7 +31,7 @@ class Clip:
     """(frames, 22, 3) metres, Y up, floor y = 0; starts at the origin facing +Z; a read-only copy."""
 
     fps: float
-    """Frames per second."""
+    """Frames per second, 1 to 240."""
 
     seed: int
     """Of the noise it was made from."""
@@ -45,18 +45,20 @@ class Clip:
     graph: SemanticGraph | None = None
     """The graph it was made from, edits included; None where there was none, or more than one."""
 
+    loops: bool = False
+    """Whether its last frame is its first again, but for travel (`looped`); files do not say so."""
+
     def __post_init__(self) -> None:
         object.__setattr__(self, "joints", _checked_joints(self.joints))
-        if isinstance(self.fps, bool) or not isinstance(self.fps, int | float | np.number):
-            raise InvalidInputError(f"fps is {self.fps!r}; it must be a number of frames per second")
-        if not (math.isfinite(self.fps) and self.fps > 0):
-            raise InvalidInputError(f"fps is {self.fps!r}; it must be finite and above 0")
+        check_fps(self.fps)
         whole = isinstance(self.seed, int | np.integer) and not isinstance(self.seed, bool)
         if not whole or not 0 <= self.seed < 2**63:
             raise InvalidInputError(f"seed is {self.seed!r}; it must be a whole number from 0 to 2**63 - 1")
         for name in ("text", "bundle"):
             if not isinstance(getattr(self, name), str):
                 raise InvalidInputError(f"{name} is {getattr(self, name)!r}; it must be a string")
+            if any("\ud800" <= character <= "\udfff" for character in getattr(self, name)):
+                raise InvalidInputError(f"{name} holds half a surrogate pair, which is no text")
         if not isinstance(self.graph, SemanticGraph | None):
             raise InvalidInputError(f"graph is of type {type(self.graph).__name__}; it must be a SemanticGraph or None")
         object.__setattr__(self, "fps", float(self.fps))
@@ -79,19 +81,29 @@ class Clip:
             InvalidInputError: the frame rate is none.
         """
         check_fps(fps)
-        return replace(self, joints=resampled(self.joints, self.fps, float(fps)), fps=float(fps))
+        joints = resampled(self.joints, self.fps, float(fps), loops=self.loops)
+        return replace(self, joints=joints, fps=float(fps))
 
     def in_place(self) -> Clip:
-        """Without travel over the floor, for games that move the character themselves."""
-        return replace(self, joints=in_place(self.joints))
+        """Without travel over the floor, for games that move the character themselves; a loop, which has to be made
+        first, ends facing where it began."""
+        return replace(self, joints=in_place(self.joints, loops=self.loops))
 
-    def looped(self) -> Clip:
-        """Shorter, and such that its last frame leads into its first; see `retiming.looped`.
+    def looped(self, *, foot_fix: bool = True) -> Clip:
+        """Shorter, and such that it can be played round and round; see `looping.looped`.
+
+        Its last frame is its first again, one round later, as animation programs, engines and players of glTF expect:
+        a round takes (frames - 1) / fps seconds. `.gif` and `.mp4`, which show every frame, leave it out.
 
         Raises:
             InvalidInputError: fewer than 8 frames.
         """
-        return replace(self, joints=looped(self.joints, self.fps))
+        return replace(self, joints=looped(self.joints, self.fps, foot_fix=foot_fix), loops=True)
+
+    @property
+    def shown(self) -> FloatArray:
+        """Frames as a moving picture shows them, each for 1 / fps: without the one that closes a loop."""
+        return self.joints[:-1] if self.loops and self.frames > 1 else self.joints
 
     def save(self, path: str | os.PathLike[str], *, force: bool = False, names: str = DEFAULT_NAMES) -> None:
         """Write a file; its suffix chooses the format (`formats.WRITERS`).
@@ -108,7 +120,7 @@ class Clip:
             OutputError: the file cannot be written there; see `check_target`.
         """
         check_target(path, force)
-        write_atomically(path, encode(self, suffix_of(path), names))
+        write_atomically(path, encode(self, suffix_of(path), names), force=force)
 
 
 def _checked_joints(joints: object) -> FloatArray:

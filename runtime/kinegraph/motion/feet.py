@@ -31,8 +31,9 @@ PER_JERK: Final = 6e-5
 _OVER_FLOOR: Final = np.array([1.0, 0.0, 1.0])
 FURTHEST: Final = 0.08
 """Metres: a foot that is further from where it would stand is meant to move."""
-STRETCHED: Final = 0.999
-"""Of the length of a leg: beyond it a knee would snap straight."""
+STRETCHED: Final = 0.98
+"""Of the length of a leg: the nearer to straight, the further the knee moves for a centimetre of the foot; no leg is
+stretched beyond this that was not."""
 
 
 def planted_feet(joints: FloatArray, fps: float) -> FloatArray:

@@ -80,11 +80,13 @@ class SkeletonMotion:
     """(frames, 22) metres between `forward_kinematics` of this motion and the joints it was solved from."""
 
 
-def solve_rotations(joints: Floats) -> SkeletonMotion:
+def solve_rotations(joints: Floats, fps: float, *, loops: bool = False) -> SkeletonMotion:
     """Rotations that bring a T-pose with the clip's mean bone lengths to the joints of each frame.
 
     Args:
         joints: (frames, 22, 3) metres, Y up.
+        fps: frames per second; limbs that are straight for a moment keep the twist that they have beside it.
+        loops: whether the last frame is the first again, but for travel; then it is turned as the first is.
     """
     seen = np.asarray(joints, dtype=np.float64)
     offsets = rest_offsets(seen)
@@ -111,7 +113,7 @@ def solve_rotations(joints: Floats) -> SkeletonMotion:
             if joint in HINGES:
                 middle, end, axis = HINGES[joint]
                 lower = rotate(conjugate(before), seen[:, end] - seen[:, middle])
-                angle = hinge_twist(offsets[middle], goals[:, 0], lower, np.array(axis))
+                angle = hinge_twist(offsets[middle], goals[:, 0], lower, np.array(axis), fps, loops=loops)
                 local[:, joint] = twisted(local[:, joint], offsets[middle], angle)
             elif joint in SPINE:
                 local[:, joint] = twisted(local[:, joint], offsets[children[0]], share)

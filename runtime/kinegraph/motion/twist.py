@@ -33,11 +33,11 @@ BENT: Final = 0.35
 """Sine of a bend from which its plane is believed fully (20 degrees)."""
 STRAIGHT: Final = 0.1
 """How much the shortest turn counts beside planes, whose weights are up to 1."""
-WINDOW: Final = 4
-"""Frames to each side that have a say, in a bell curve."""
+WINDOW_SECONDS: Final = 0.2
+"""To each side: frames that have a say, in a bell curve."""
 
 
-def hinge_twist(rest: Floats, goal: Floats, lower: Floats, axis: Floats) -> Floats:
+def hinge_twist(rest: Floats, goal: Floats, lower: Floats, axis: Floats, fps: float, *, loops: bool = False) -> Floats:
     """Turns (frames,) in radians about the upper bone that bring the rest hinge into the plane that is seen.
 
     Args:
@@ -45,6 +45,8 @@ def hinge_twist(rest: Floats, goal: Floats, lower: Floats, axis: Floats) -> Floa
         goal: (frames, 3) the upper bone, in the frame of its parent.
         lower: (frames, 3) the lower bone, in the same frame.
         axis: (3,) of the hinge at rest.
+        fps: frames per second.
+        loops: whether the last frame is the first again, so that what is beside one is beside the other.
     """
     along, across = normalised(goal), np.cross(normalised(goal), normalised(lower), axis=-1)
     swung = rotate(between(rest, goal), np.asarray(axis, dtype=np.float64))
@@ -54,7 +56,7 @@ def hinge_twist(rest: Floats, goal: Floats, lower: Floats, axis: Floats) -> Floa
     size = np.hypot(sine, cosine)
     believed = np.minimum(size / BENT, 1.0) ** 2
     seen = believed * (cosine + 1j * sine) / np.where(size > 0, size, 1.0)
-    return np.asarray(np.angle(_smoothed(seen) + STRAIGHT))
+    return np.asarray(np.angle(_smoothed(seen, max(1, round(WINDOW_SECONDS * fps)), loops) + STRAIGHT))
 
 
 def spine_twist(pelvis: Floats, chest: Floats) -> Floats:
@@ -75,10 +77,13 @@ def twisted(swing: Floats, rest: Floats, angle: Floats) -> Floats:
     return multiply(swing, turn)
 
 
-def _smoothed(values: NDArray[np.complexfloating[Any, Any]]) -> NDArray[np.complexfloating[Any, Any]]:
-    """A mean over neighbouring frames in a bell curve; frames beyond the ends are left out."""
-    bell = np.exp(-0.5 * (np.arange(-WINDOW, WINDOW + 1) / (WINDOW / 2)) ** 2)
-    padded = np.pad(values, WINDOW)
-    counts = np.pad(np.ones(len(values)), WINDOW)
+def _smoothed(
+    values: NDArray[np.complexfloating[Any, Any]], window: int, loops: bool
+) -> NDArray[np.complexfloating[Any, Any]]:
+    """A mean over `window` frames to each side in a bell curve; frames beyond the ends are left out, or those of the
+    round before and after."""
+    bell = np.exp(-0.5 * (np.arange(-window, window + 1) / (window / 2)) ** 2)
+    padded = np.pad(values[:-1], (window, window + 1), mode="wrap") if loops else np.pad(values, window)
+    counts = np.pad(np.ones(len(values)), window, constant_values=float(loops))
     windows = np.lib.stride_tricks.sliding_window_view
     return np.asarray((windows(padded, len(bell)) @ bell) / (windows(counts, len(bell)) @ bell))
