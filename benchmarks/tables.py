@@ -38,6 +38,7 @@ def measurements(given: argparse.Namespace) -> list[Measurement]:
     found = [
         Measurement("reconstruction", "What the autoencoders keep (GraphMotion, Table D)", (*data, *run)),
         Measurement("behaviour", "Behaviours beside captured clips", data),
+        Measurement("lengths", "Sentences at any length", data),
         Measurement("foot_fix", "Feet held, and not", data),
         Measurement("evaluate", "The default bundle", (*data, *held, *work, *repeats)),
         Measurement("masked_verbs", "Verbs masked (GraphMotion, Table 6)", (*data, *work)),

@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 import tables
 
-NAMES = ["reconstruction", "behaviour", "foot_fix", "evaluate", "masked_verbs", "edit_curves", "composition_settings",
+NAMES = ["reconstruction", "behaviour", "lengths", "foot_fix", "evaluate", "masked_verbs", "edit_curves", "composition_settings",
          "sampling", "compare", "latent_tokens"]  # fmt: skip
 BROKEN = NAMES.index("masked_verbs") + 1
 

@@ -25,6 +25,8 @@ class DataConfig:
     """Made clips of two actions at once; 0 for data without content labels."""
     sequences: int = 700
     """Made clips of one action after another."""
+    excerpts: int = 0
+    """Walks and runs of other lengths than the recorded ones."""
     rare_weight: float = 3.0
     """How much more often the denoisers see clips of contents with fewer than 50 clips."""
     seed: int = 7

@@ -14,6 +14,7 @@ from kinegraph.motion.skeleton import FloatArray
 from kinegraph_training.compositions import HeldOut, make_sequences, make_splices
 from kinegraph_training.config import DataConfig
 from kinegraph_training.data import MotionClip, mirrored_clip, read_split
+from kinegraph_training.excerpts import make_excerpts
 from kinegraph_training.phrases import counted_captions
 
 
@@ -58,6 +59,7 @@ def training_clips(
         made = make_splices(labelled, config.splices, held, config.seed)
         made += make_sequences(labelled, config.sequences, held, config.seed + 1, config.max_frames)
         clips = with_counted_steps(clips, config.seed + 2) + made
+    clips += make_excerpts(labelled, config.excerpts, config.seed + 4, config.max_frames)
     clips += [clip for own in more for clip in read_split(own, "train") if len(clip.joints) >= config.min_frames]
     return clips + [mirrored_clip(clip) for clip in clips]
 

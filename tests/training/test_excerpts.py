@@ -1,0 +1,65 @@
+"""Walks and runs of every length."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from motions import SHARED, walk
+
+pytest.importorskip("torch")
+
+from kinegraph.motion.poses import accelerations
+from kinegraph.motion.skeleton import bone_lengths, facing_angle
+from kinegraph_training.config import DataConfig
+from kinegraph_training.data import MotionClip, read_split
+from kinegraph_training.dataset import training_clips
+from kinegraph_training.excerpts import SHORTEST, make_excerpts
+
+CAPTIONS = ("a person walks forward.", "a person walks nine steps.", "someone covers about ten meters.")
+
+
+def clip(content: str, frames: int, style: str = "normal") -> MotionClip:
+    return MotionClip(f"{content}_{frames}", walk(frames), CAPTIONS, content, style, steps=9)
+
+
+def test_they_have_every_length_and_say_nothing_of_numbers() -> None:
+    found = make_excerpts([clip("walk", 160), clip("run", 50, "active")], 60, 3, 190)
+    lengths = np.array([len(each.joints) for each in found])
+    assert lengths.min() >= SHORTEST and lengths.max() <= 190
+    assert all(((lengths >= low) & (lengths < low + 30)).any() for low in (30, 60, 90, 120))
+    assert {each.content for each in found} == {"walk", "run"} and len({each.id for each in found}) == 60
+    for each in found:
+        assert each.steps is None and len(each.captions) == 3
+        assert not any(word in caption for caption in each.captions for word in ("steps", "meters"))
+        np.testing.assert_allclose(each.joints[0, 0, [0, 2]], 0.0, atol=1e-5)
+        assert abs(facing_angle(each.joints)[0]) < 1e-3
+
+
+def test_what_goes_on_for_longer_does_not_jump() -> None:
+    short = [clip("run", 60)]
+    longer = [each for each in make_excerpts(short, 30, 1, 110) if len(each.joints) > 60]
+    assert longer
+    for each in longer:
+        assert accelerations(each.joints, 20).max() < 1.7 * accelerations(short[0].joints, 20).max()
+        assert np.ptp(bone_lengths(each.joints), axis=0).max() < 5e-3
+
+
+def test_turns_and_gestures_are_left_whole() -> None:
+    assert make_excerpts([clip("walk-turn-left", 90), clip("wave-left-hand", 90), clip("walk", 20)], 5, 1, 190) == []
+
+
+def test_a_preset_asks_for_them(tmp_path: Path) -> None:
+    data, held = SHARED / "data" / "bandai", SHARED / "data" / "held_out_pairs.json"
+    if not data.is_dir():
+        pytest.skip("recorded motion (../shared/data) is not at hand")
+    without, more = (
+        training_clips(data, DataConfig(splices=0, sequences=0, excerpts=count), held) for count in (0, 20)
+    )
+    assert len(without) == len(more) - 40
+    walks = [each for each in read_split(data, "train") if each.content == "walk"]
+    straight = [each for each in more if each.id.startswith("excerpt") and each.content == "walk"]
+    assert straight and max(np.ptp(facing_angle(each.joints)) for each in straight) <= 0.2 + max(
+        np.ptp(facing_angle(each.joints)) for each in walks
+    )

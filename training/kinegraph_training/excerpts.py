@@ -1,0 +1,68 @@
+"""Walks and runs of every length.
+
+Recorded walks last 6 to 12 seconds and recorded turns 4 to 6: a model that is asked for four seconds of walking forward
+turns (12 of 30 clips of bundle 0.5.0 did), since it has seen nothing else of that length. A walk is a walk at any
+length: parts of recorded ones, and ones that go on, joined where the step is alike.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Final
+
+import numpy as np
+
+from kinegraph.motion.joining import joined
+from kinegraph.motion.placement import placed
+from kinegraph_training.data import MotionClip
+from kinegraph_training.phrases import concept_caption
+
+STEADY: Final = ("walk", "run")
+"""Contents that are the same at every moment."""
+SHORTEST: Final = 30
+"""Frames (1.5 s): one and a half strides of a walk."""
+NEW_CAPTIONS: Final = 2
+FPS: Final = 20.0
+
+_COUNTED = re.compile(
+    r"\b(\d+|one|two|three|four|five|six|seven|eight|nine|ten|eleven|twelve|\w+teen|twenty|dozen|once|twice"
+    r"|met(?:er|re)s?|feet|steps?|paces?|seconds?|times?)\b",
+    re.IGNORECASE,
+)
+
+
+def make_excerpts(clips: Sequence[MotionClip], count: int, seed: int, max_frames: int) -> list[MotionClip]:
+    """`count` walks and runs of lengths drawn evenly on a logarithmic scale, up to `max_frames`.
+
+    Captions are those of the clip that say nothing of numbers or distances, and new ones of the same action and manner.
+    """
+    rng = np.random.Generator(np.random.PCG64(seed))
+    kinds: dict[tuple[str, str], list[MotionClip]] = {}
+    for clip in clips:
+        if clip.content in STEADY and len(clip.joints) >= SHORTEST:
+            kinds.setdefault((clip.content, clip.style), []).append(clip)
+    names = sorted(kinds)
+    # manners with many clips more often, but not as much more often as they have clips
+    weights = np.array([len(kinds[name]) for name in names], dtype=float) ** 0.5
+    made: list[MotionClip] = []
+    while len(made) < count and names:
+        own = kinds[names[int(rng.choice(len(names), p=weights / weights.sum()))]]
+        clip, other = (own[int(rng.integers(len(own)))] for _ in range(2))
+        frames = round(float(np.exp(rng.uniform(np.log(SHORTEST), np.log(max_frames)))))
+        joints = clip.joints if len(clip.joints) >= frames else joined([clip.joints, other.joints], FPS)
+        frames = min(frames, len(joints))
+        start = int(rng.integers(len(joints) - frames + 1))
+        captions = tuple(caption for caption in clip.captions if not _COUNTED.search(caption))
+        captions += tuple(concept_caption(clip.content, clip.style, rng) for _ in range(NEW_CAPTIONS))
+        made.append(
+            replace(
+                clip,
+                id=f"excerpt_{len(made):05d}",
+                joints=placed(joints[start : start + frames]),
+                captions=captions,
+                steps=None,
+            )
+        )
+    return made
