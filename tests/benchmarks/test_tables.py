@@ -10,8 +10,8 @@ from typing import Any
 import pytest
 import tables
 
-NAMES = ["reconstruction", "behaviour", "lengths", "foot_fix", "evaluate", "masked_verbs", "edit_curves", "composition_settings",
-         "sampling", "compare", "latent_tokens"]  # fmt: skip
+NAMES = ["reconstruction", "behaviour", "lengths", "foot_fix", "evaluate", "masked_verbs", "edit_curves",
+         "composition_settings", "sampling", "compare", "latent_tokens"]  # fmt: skip
 BROKEN = NAMES.index("masked_verbs") + 1
 
 
