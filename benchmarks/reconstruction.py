@@ -82,6 +82,8 @@ def main() -> None:
     parser.add_argument("--run", type=Path, required=True, help="training run with the three autoencoders")
     parser.add_argument("--out", type=Path, required=True, help="JSON file; a .md file is written beside it")
     arguments = parser.parse_args()
+    # clip by clip, more threads only wait for one another: beside a busy core for minutes
+    torch.set_num_threads(1)
     evaluator, recogniser = Evaluator(), Recogniser(read_split(arguments.data, "train"))
     levels = {level: read_vae(arguments.run / f"vae_{level}" / "last.ckpt") for level in LEVELS}
     result = {}
