@@ -29,6 +29,16 @@ def test_what_was_encoded_is_read_back(tmp_path: Path, monkeypatch: pytest.Monke
         np.testing.assert_array_equal(again.get(caption).relation, first.get(caption).relation)
 
 
+def test_several_processes_encode_what_one_does(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    alone = encode_captions(CAPTIONS, DEFAULT_BUNDLE, tmp_path / "alone.npz")
+    monkeypatch.setattr(caption_graphs, "PART", 2)
+    monkeypatch.setattr(caption_graphs, "available_cpus", lambda: 2)
+    together = encode_captions(CAPTIONS, DEFAULT_BUNDLE, tmp_path / "together.npz")
+    for caption in CAPTIONS:
+        np.testing.assert_array_equal(together.get(caption).nodes, alone.get(caption).nodes)
+        np.testing.assert_array_equal(together.get(caption).relation, alone.get(caption).relation)
+
+
 def test_masked_captions_keep_their_graph_and_tell_no_verb(tmp_path: Path) -> None:
     whole = encode_captions(CAPTIONS, DEFAULT_BUNDLE, tmp_path / "whole.npz")
     masked = encode_captions(CAPTIONS, DEFAULT_BUNDLE, tmp_path / "masked.npz", verbs_masked=True)

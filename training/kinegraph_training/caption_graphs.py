@@ -6,8 +6,12 @@ so that what is trained on is what will be seen.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import partial
+from multiprocessing import get_context
 from pathlib import Path
 
 import numpy as np
@@ -19,12 +23,16 @@ from kinegraph.conditions import GraphArrays, graph_arrays
 from kinegraph.edits import masked
 from kinegraph.errors import InvalidInputError
 from kinegraph.graph import SemanticGraph
+from kinegraph.sessions import available_cpus
 from kinegraph.text.parser import read_parser
 from kinegraph.text.tokens import CaptionTokenizer, TokenIds
 
 ASSETS = ("text_encoder.onnx", "tokenizer.json", "parser.bin")
 OPTIONAL_ASSETS = ("arguments.npz",)
 """Weights of `train_parser`; the parser goes by rules without them."""
+
+PART = 1000
+"""Captions that a process encodes before it reports; with fewer there is one process."""
 
 
 def read_assets(folder: Path) -> dict[str, bytes]:
@@ -114,10 +122,13 @@ def encode_captions(captions: Sequence[str], assets: Path, cache: Path, *, verbs
         with np.load(cache, allow_pickle=False) as stored:
             if stored["captions"].tolist() == distinct:
                 return _unpacked(dict(stored))
-    encoder = CaptionEncoder(assets)
-    parsed = (encoder.parser.parse(caption) for caption in distinct)
-    shown = (without_verbs(graph) if verbs_masked else graph for graph in parsed)
-    graphs = [encoder(graph) for graph in tqdm(shown, desc="captions", unit="caption", total=len(distinct))]
+    parts = [distinct[place : place + PART] for place in range(0, len(distinct), PART)]
+    encode = partial(_encoded, assets, verbs_masked)
+    with _processes(len(parts)) as pool, tqdm(desc="captions", unit="caption", total=len(distinct)) as progress:
+        graphs: list[GraphArrays] = []
+        for part in pool.map(encode, parts) if pool else map(encode, parts):
+            graphs += part
+            progress.update(len(part))
     packed = {
         "captions": np.array(distinct),
         "offsets": np.cumsum([0] + [len(graph.kind) for graph in graphs]),
@@ -130,6 +141,24 @@ def encode_captions(captions: Sequence[str], assets: Path, cache: Path, *, verbs
     with cache.open("wb") as file:
         np.savez(file, **packed)
     return _unpacked(packed)
+
+
+def _encoded(assets: Path, verbs_masked: bool, captions: Sequence[str]) -> list[GraphArrays]:
+    """Each caption on its own, whatever others there are."""
+    encoder = CaptionEncoder(assets)
+    parsed = (encoder.parser.parse(caption) for caption in captions)
+    return [encoder(without_verbs(graph) if verbs_masked else graph) for graph in parsed]
+
+
+@contextmanager
+def _processes(parts: int) -> Iterator[ProcessPoolExecutor | None]:
+    """One for each core, if there is work for them: a parser in Python keeps threads waiting for one another."""
+    count = min(parts, available_cpus())
+    if count < 2:
+        yield None
+        return
+    with ProcessPoolExecutor(count, mp_context=get_context("spawn")) as pool:
+        yield pool
 
 
 def _unpacked(packed: dict[str, np.ndarray]) -> CaptionGraphs:
