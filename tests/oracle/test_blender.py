@@ -28,11 +28,24 @@ def saved(folder: Path, joints: np.ndarray) -> dict[str, Path]:
     return files
 
 
-@pytest.mark.parametrize("real", [False, True], ids=["figure", "recorded"])
-def test_three_readers_find_the_joints_where_the_clip_has_them(
-    tmp_path: Path, real: bool, figure: Callable[[str], None]
+def clip_of(kind: str) -> np.ndarray:
+    return recorded(count=1)[0] if kind == "recorded" else walk(50, turning=0.05)
+
+
+def check(found: dict[str, tuple[float, float]], kind: str, figure: Callable[[str], None]) -> None:
+    """Millimetres (mean, max) between where each reader and the clip have the joints."""
+    figure(
+        f"one {kind} clip read back, mm mean and max: "
+        + "; ".join(f"{name} {mean:.2f}, {most:.2f}" for name, (mean, most) in found.items())
+    )
+    assert all(mean < MEAN_MM and most < MAX_MM for mean, most in found.values())
+
+
+@pytest.mark.parametrize("kind", ["made", "recorded"])
+def test_two_readers_find_the_joints_where_the_clip_has_them(
+    tmp_path: Path, kind: str, figure: Callable[[str], None]
 ) -> None:
-    joints = recorded(count=1)[0] if real else walk(50, turning=0.05)
+    joints = clip_of(kind)
     files = saved(tmp_path, joints)
     glb = GlbReader(files[".glb"].read_bytes(), tmp_path)
     seen = {
@@ -40,16 +53,19 @@ def test_three_readers_find_the_joints_where_the_clip_has_them(
         "pybvh": bvh_joints(files[".bvh"])[0],
     }
     apart = {name: 1000 * np.linalg.norm(found - joints, axis=-1) for name, found in seen.items()}
-    found = {name: (float(each.mean()), float(each.max())) for name, each in apart.items()}
-    report = blender(*files.values())
-    for suffix in (".glb", ".bvh"):
-        found[f"Blender {report['blender']} {suffix}"] = (report[suffix]["mean_mm"], report[suffix]["max_mm"])
-        assert report[suffix]["frames"] == len(joints)
-    figure(
-        f"one {'recorded' if real else 'made'} clip read back, mm mean and max: "
-        + "; ".join(f"{name} {mean:.2f}, {most:.2f}" for name, (mean, most) in found.items())
-    )
-    assert all(mean < MEAN_MM and most < MAX_MM for mean, most in found.values())
+    check({name: (float(each.mean()), float(each.max())) for name, each in apart.items()}, kind, figure)
+
+
+@pytest.mark.parametrize("kind", ["made", "recorded"])
+def test_blender_is_the_third(tmp_path: Path, kind: str, figure: Callable[[str], None]) -> None:
+    joints = clip_of(kind)
+    report = blender(*saved(tmp_path, joints).values())
+    found = {
+        f"Blender {report['blender']} {suffix}": (report[suffix]["mean_mm"], report[suffix]["max_mm"])
+        for suffix in (".glb", ".bvh")
+    }
+    assert all(report[suffix]["frames"] == len(joints) for suffix in (".glb", ".bvh"))
+    check(found, kind, figure)
     assert report[".glb"]["skinned_vertices"] > 1000
 
 
