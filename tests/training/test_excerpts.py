@@ -55,9 +55,10 @@ def test_a_preset_asks_for_them(tmp_path: Path) -> None:
     if not data.is_dir():
         pytest.skip("recorded motion (../shared/data) is not at hand")
     without, more = (
-        training_clips(data, DataConfig(splices=0, sequences=0, excerpts=count), held) for count in (0, 20)
+        training_clips(data, DataConfig(splices=0, sequences=0, excerpts=count, paces=count // 2), held)
+        for count in (0, 20)
     )
-    assert len(without) == len(more) - 40
+    assert len(without) == len(more) - 60
     walks = [each for each in read_split(data, "train") if each.content == "walk"]
     straight = [each for each in more if each.id.startswith("excerpt") and each.content == "walk"]
     assert straight and max(np.ptp(facing_angle(each.joints)) for each in straight) <= 0.2 + max(

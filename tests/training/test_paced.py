@@ -11,11 +11,12 @@ from motions import walk
 
 pytest.importorskip("torch")
 
-from kinegraph.motion.skeleton import bone_lengths
+from kinegraph.motion.skeleton import bone_lengths, facing_angle
 from kinegraph_training.config import DataConfig
 from kinegraph_training.data import MotionClip, read_split
 from kinegraph_training.data_writer import PreparedClip, write_data
-from kinegraph_training.dataset import PACE, paced_clips, smoothly_resampled, training_set
+from kinegraph_training.dataset import training_set
+from kinegraph_training.paces import FAST, LEAST, PACE, SLOWLY, make_paces, paced_clips, smoothly_resampled
 
 CONFIG = DataConfig(splices=0, sequences=0)
 
@@ -58,6 +59,27 @@ def test_every_clip_comes_once_more_within_the_paces_and_keeps_its_bones() -> No
         assert np.abs(bone_lengths(new.joints) - bone_lengths(old.joints)[0]).max() < 2e-3
     again = paced_clips(clips, CONFIG, 1)
     assert all(np.array_equal(a.joints, b.joints) for a, b in zip(paced, again, strict=True))
+
+
+def test_captions_of_denoisers_say_how_fast_it_is_and_what_stays_true() -> None:
+    captions = ("a person turns left by 90 degrees.", "someone walks fast.", "a man turns. he seems old.")
+    clips = [
+        MotionClip("turn", walk(80, turning=0.02), captions, "walk-turn-left", "normal"),
+        MotionClip("wave", walk(80), ("a person waves.",), "wave-left-hand", "normal"),
+        MotionClip("long", walk(190), ("a person walks.",), "walk", "normal"),
+    ]
+    made = make_paces(clips, 40, 1, 196)
+    assert len(made) == 40 and {clip.content for clip in made} == {"walk-turn-left"}
+    for clip in made:
+        slower = len(clip.joints) > 80
+        assert LEAST - 0.02 < (len(clip.joints) / 80) ** (1 if slower else -1) < PACE + 0.02
+        words = SLOWLY if slower else FAST
+        assert len(clip.captions) == 4 and all(any(word in each for word in words) for each in clip.captions)
+        assert not any("walks fast" in each and slower for each in clip.captions)
+        assert any("90 degrees" in each for each in clip.captions)
+        assert abs(np.ptp(facing_angle(clip.joints)) - np.ptp(facing_angle(clips[0].joints))) < 0.02
+    assert len({len(clip.joints) for clip in made}) > 10
+    assert any(caption.startswith(words) for clip in made for caption in clip.captions for words in SLOWLY)
 
 
 def written_walks(folder: Path) -> Path:

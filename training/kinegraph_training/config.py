@@ -27,6 +27,8 @@ class DataConfig:
     """Made clips of one action after another."""
     excerpts: int = 0
     """Walks and runs of other lengths than the recorded ones."""
+    paces: int = 0
+    """Walks, runs and turns slower and faster than recorded, whose captions say so."""
     rare_weight: float = 3.0
     """How much more often the denoisers see clips of contents with fewer than 50 clips."""
     seed: int = 7

@@ -15,6 +15,7 @@ from kinegraph_training.compositions import HeldOut, make_sequences, make_splice
 from kinegraph_training.config import DataConfig
 from kinegraph_training.data import MotionClip, mirrored_clip, read_split
 from kinegraph_training.excerpts import make_excerpts
+from kinegraph_training.paces import make_paces, paced_clips
 from kinegraph_training.phrases import counted_captions
 
 
@@ -31,10 +32,6 @@ class Dataset:
         """The same under another normalisation, (137,) each."""
         gain, shift = self.std / std, (self.mean - mean) / std
         return Dataset(self.clips, [rows * gain + shift for rows in self.features], mean, std)
-
-
-PACE = 1.35
-"""Most that `paced_clips` change a speed, either way."""
 
 
 def training_clips(
@@ -59,7 +56,8 @@ def training_clips(
         made = make_splices(labelled, config.splices, held, config.seed)
         made += make_sequences(labelled, config.sequences, held, config.seed + 1, config.max_frames)
         clips = with_counted_steps(clips, config.seed + 2) + made
-    clips += make_excerpts(labelled, config.excerpts, config.seed + 4, config.max_frames)
+    excerpts = make_excerpts(labelled, config.excerpts, config.seed + 4, config.max_frames)
+    clips += excerpts + make_paces(labelled + excerpts, config.paces, config.seed + 5, config.max_frames)
     clips += [clip for own in more for clip in read_split(own, "train") if len(clip.joints) >= config.min_frames]
     return clips + [mirrored_clip(clip) for clip in clips]
 
@@ -72,32 +70,6 @@ def with_counted_steps(clips: list[MotionClip], seed: int) -> list[MotionClip]:
         replace(clip, captions=clip.captions + counted_captions(clip.content, clip.steps, clip.style, rng))
         for clip in clips
     ]
-
-
-def paced_clips(clips: Sequence[MotionClip], config: DataConfig, seed: int) -> list[MotionClip]:
-    """Every clip once more, up to `PACE` times as fast or as slow: an autoencoder that has seen a motion at one speed
-    only keeps it badly at another. Not for denoisers: captions say how fast and how often."""
-    rng = np.random.Generator(np.random.PCG64(seed))
-    paces = PACE ** rng.uniform(-1.0, 1.0, len(clips))
-    frames = [max(config.min_frames, round(len(clip.joints) / pace)) for clip, pace in zip(clips, paces, strict=True)]
-    return [
-        replace(clip, id=f"{clip.id}~paced", joints=smoothly_resampled(clip.joints, count))
-        for clip, count in zip(clips, frames, strict=True)
-    ]
-
-
-def smoothly_resampled(joints: FloatArray, frames: int) -> FloatArray:
-    """Catmull-Rom in time, end to end: (t, 22, 3) -> (frames, 22, 3). Linear would jerk at every old frame."""
-    place = np.linspace(0, len(joints) - 1, frames)
-    low = np.minimum(place.astype(int), len(joints) - 2)
-    t = (place - low)[:, None, None].astype(np.float32)
-    # The ends go on in a straight line.
-    rows = np.concatenate([2 * joints[:1] - joints[1:2], joints, 2 * joints[-1:] - joints[-2:-1]])
-    before, start, end, after = (rows[low + i] for i in range(4))
-    linear, square = end - before, 2 * before - 5 * start + 4 * end - after
-    cubic = 3 * (start - end) + after - before
-    resampled: FloatArray = start + 0.5 * t * (linear + t * (square + t * cubic))
-    return resampled
 
 
 def training_set(

@@ -33,23 +33,29 @@ _COUNTED = re.compile(
 )
 
 
+def drawn_clip(clips: Sequence[MotionClip], rng: np.random.Generator) -> MotionClip:
+    """Actions and manners with many clips more often, but not as much more often as they have clips."""
+    kinds: dict[tuple[str, str], list[MotionClip]] = {}
+    for clip in clips:
+        kinds.setdefault((clip.content, clip.style), []).append(clip)
+    names = sorted(kinds)
+    weights = np.array([len(kinds[name]) for name in names], dtype=float) ** 0.5
+    own = kinds[names[int(rng.choice(len(names), p=weights / weights.sum()))]]
+    return own[int(rng.integers(len(own)))]
+
+
 def make_excerpts(clips: Sequence[MotionClip], count: int, seed: int, max_frames: int) -> list[MotionClip]:
     """`count` walks and runs of lengths drawn evenly on a logarithmic scale, up to `max_frames`.
 
     Captions are those of the clip that say nothing of numbers or distances, and new ones of the same action and manner.
     """
     rng = np.random.Generator(np.random.PCG64(seed))
-    kinds: dict[tuple[str, str], list[MotionClip]] = {}
-    for clip in clips:
-        if clip.content in STEADY and len(clip.joints) >= SHORTEST:
-            kinds.setdefault((clip.content, clip.style), []).append(clip)
-    names = sorted(kinds)
-    # manners with many clips more often, but not as much more often as they have clips
-    weights = np.array([len(kinds[name]) for name in names], dtype=float) ** 0.5
+    usable = [clip for clip in clips if clip.content in STEADY and len(clip.joints) >= SHORTEST]
     made: list[MotionClip] = []
-    while len(made) < count and names:
-        own = kinds[names[int(rng.choice(len(names), p=weights / weights.sum()))]]
-        clip, other = (own[int(rng.integers(len(own)))] for _ in range(2))
+    while len(made) < count and usable:
+        clip = drawn_clip(usable, rng)
+        alike = [each for each in usable if (each.content, each.style) == (clip.content, clip.style)]
+        other = alike[int(rng.integers(len(alike)))]
         frames = round(float(np.exp(rng.uniform(np.log(SHORTEST), np.log(max_frames)))))
         joints = clip.joints if len(clip.joints) >= frames else joined([clip.joints, other.joints], FPS)
         frames = min(frames, len(joints))
