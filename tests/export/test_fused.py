@@ -71,6 +71,15 @@ def test_an_int8_step_multiplies_in_int8_and_nothing_else_is_added(in_int8: Expo
     assert sum(found.values()) <= 8 + 21 * LAYERS
 
 
+def test_no_int8_product_overflows_on_a_cpu_that_adds_two_of_them_in_16_bits(in_int8: Exported) -> None:
+    tensors = onnx.load_model_from_string(in_int8[0]).graph.initializer
+    weights = [onnx.numpy_helper.to_array(tensor) for tensor in tensors if tensor.name.endswith("_quantized")]
+    assert len(weights) > 5 * LAYERS
+    for weight in weights:
+        # activations are 0 to 255
+        assert weight.dtype == np.int8 and 2 * 255 * np.abs(weight.astype(int)).max() < 2**15
+
+
 def test_keys_values_and_time_are_inputs_of_a_step(in_int8: Exported) -> None:
     names = {tensor.name for tensor in onnx.load_model_from_string(in_int8[0]).graph.input}
     assert names == {spec.name for spec in CONTRACT.inputs}
