@@ -1,7 +1,7 @@
 """Walks and runs of every length.
 
 Recorded walks last 6 to 12 seconds and recorded turns 4 to 6: a model that is asked for four seconds of walking forward
-turns (12 of 30 clips of bundle 0.5.0 did), since it has seen nothing else of that length. A walk is a walk at any
+turns (11 of 30 clips of bundle 0.5.0 did), since it has seen nothing else of that length. A walk is a walk at any
 length: parts of recorded ones, and ones that go on, joined where the step is alike.
 """
 
@@ -17,6 +17,7 @@ import numpy as np
 from kinegraph.motion.joining import joined
 from kinegraph.motion.placement import placed
 from kinegraph_training.data import MotionClip
+from kinegraph_training.measures import FPS
 from kinegraph_training.phrases import concept_caption
 
 STEADY: Final = ("walk", "run")
@@ -24,7 +25,6 @@ STEADY: Final = ("walk", "run")
 SHORTEST: Final = 30
 """Frames (1.5 s): one and a half strides of a walk."""
 NEW_CAPTIONS: Final = 2
-FPS: Final = 20.0
 
 _COUNTED = re.compile(
     r"\b(\d+|one|two|three|four|five|six|seven|eight|nine|ten|eleven|twelve|\w+teen|twenty|dozen|once|twice"

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from kinegraph.motion.bones import with_bone_lengths
 from kinegraph.motion.feet import planted_feet
-from kinegraph.motion.poses import OVER_FLOOR, accelerations, smooth_share, states
+from kinegraph.motion.poses import OVER_FLOOR, accelerations, smoothstep, states
 from kinegraph.motion.quaternions import about_axis, rotate, slerp
 from kinegraph.motion.rotations import forward_kinematics, solve_rotations
 from kinegraph.motion.skeleton import FloatArray, bone_lengths, facing_angle
@@ -101,7 +101,7 @@ def _blend(first: FloatArray, second: FloatArray, window: int, fps: float) -> Bl
     turn = facing_angle(first)[a + middle] - facing_angle(second)[b + middle]
     pivot = start[middle, 0] * OVER_FLOOR
     start = rotate(about_axis(1, np.array(float(turn))), start - pivot) + end[middle, 0] * OVER_FLOOR
-    blend = _between(end, start[:window], smooth_share(window), fps)
+    blend = _between(end, start[:window], smoothstep((np.arange(window) + 1.0) / (window + 1.0)), fps)
     return Blend(np.concatenate([first[:a], blend, start[window:]]).astype(np.float32), a, window)
 
 

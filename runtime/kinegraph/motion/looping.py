@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from kinegraph.errors import InvalidInputError
 from kinegraph.motion.feet import planted_feet
 from kinegraph.motion.placement import placed
-from kinegraph.motion.poses import OVER_FLOOR, states
+from kinegraph.motion.poses import OVER_FLOOR, smoothstep, states
 from kinegraph.motion.quaternions import about_axis, conjugate, multiply, rotate, slerp
 from kinegraph.motion.rotations import forward_kinematics, solve_rotations
 from kinegraph.motion.skeleton import PELVIS, FloatArray, facing_angle
@@ -118,9 +118,8 @@ def _blended(joints: Floats, fps: float) -> Floats:
     """What is missing for the last frame to be the first again, spread over the frames before it, smoothly."""
     motion = solve_rotations(joints, fps)
     window = max(2, min(len(joints) // 2, round(BLEND_SECONDS * fps)))
-    part = (np.arange(window) + 1.0) / window
     share = np.zeros(len(joints))
-    share[len(joints) - window :] = part * part * (3 - 2 * part)
+    share[len(joints) - window :] = smoothstep((np.arange(window) + 1.0) / window)
     heading = about_axis(1, facing_angle(joints.astype(np.float32)).astype(np.float64))
     turns = motion.rotations.copy()
     turns[:, 0] = multiply(conjugate(heading), turns[:, 0])

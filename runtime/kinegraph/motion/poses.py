@@ -34,9 +34,8 @@ def states(joints: FloatArray, fps: float) -> Floats:
     return np.concatenate([poses, speed, rotate(back[:, None], over_floor)], axis=1)
 
 
-def smooth_share(frames: int) -> Floats:
-    """(frames,) from just above 0 to just below 1, level at both ends: what the second of two motions counts."""
-    part = (np.arange(frames) + 1.0) / (frames + 1.0)
+def smoothstep(part: Floats) -> Floats:
+    """0 to 1 -> 0 to 1, level at both ends: what the second of two motions counts, `part` of the way to it."""
     return np.asarray(part * part * (3 - 2 * part))
 
 
