@@ -3,6 +3,7 @@ output, passed or failed."""
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Iterator
 from typing import Final
 
@@ -11,7 +12,11 @@ from playing import TEXT, Playing, playing
 
 from kinegraph import MotionPipeline
 
-_FIGURES: Final = pytest.StashKey[list[str]]()
+_FIGURE: Final = "figure"
+
+if "PYTEST_XDIST_WORKER" in os.environ:
+    # every worker has a CPU; torch reads this when it is imported
+    os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 
 @pytest.fixture(scope="module")
@@ -34,12 +39,13 @@ def server(pipe: MotionPipeline) -> Iterator[Playing]:
 @pytest.fixture
 def figure(request: pytest.FixtureRequest) -> Callable[[str], None]:
     """Note one line for the summary."""
-    return request.config.stash.setdefault(_FIGURES, []).append
+    return lambda line: request.node.user_properties.append((_FIGURE, line))
 
 
-def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter, config: pytest.Config) -> None:
-    """Called by pytest when all tests have run."""
-    lines = config.stash.get(_FIGURES, [])
+def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
+    """Called by pytest when all tests have run; properties come with the reports of other processes too."""
+    reports = [report for outcome in ("passed", "failed") for report in terminalreporter.stats.get(outcome, [])]
+    lines = [line for report in reports for name, line in report.user_properties if name == _FIGURE]
     if lines:
         terminalreporter.section("measured figures")
         for line in sorted(lines):
