@@ -1,9 +1,10 @@
 """The speed table of the README from what the benchmarks wrote.
 
-    python benchmarks/report.py --results benchmarks/results
+    python benchmarks/report.py --results benchmarks/results [ANOTHER_MACHINE ...]
 
 Reads bench.json (of `kinegraph bench`), latency.json, scaling.json, neighbours.json, low_power.json and precision.json
-of a folder; what is missing is left out. Ratios are of minima of one process, arms taking turns. Refuses quick runs.
+of each folder, one column a folder; what is missing is left out. Ratios are of minima of one process, arms taking
+turns. Refuses quick runs.
 """
 
 from __future__ import annotations
@@ -11,7 +12,7 @@ from __future__ import annotations
 import argparse
 import json
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -135,11 +136,11 @@ PARTS: dict[str, Callable[[dict[str, Any]], list[Row]]] = {
 }
 
 
-def report(folder: Path) -> str:
-    """Markdown.
+def measured(folder: Path) -> tuple[str, dict[str, str]]:
+    """Where and with what, and its rows.
 
     Raises:
-        ValueError: a result is of a quick run.
+        ValueError: a result is of a quick run or of another machine than the others, or there is none.
     """
     rows: list[Row] = []
     machine: dict[str, Any] = {}
@@ -151,18 +152,37 @@ def report(folder: Path) -> str:
         if found.get("quick"):
             raise ValueError(f"{path} is of a quick run, which only shows that the script works")
         machine = machine or found["machine"]
+        if found["machine"]["cpu"] != machine["cpu"]:
+            raise ValueError(f"{path} was measured on {found['machine']['cpu']}, others on {machine['cpu']}")
         rows += make(found)
-    about = (
-        f"{machine['cpu']}, {machine['cpus']} CPUs; onnxruntime {machine['onnxruntime']}, Python {machine['python']}."
-    )
-    return "\n".join([about, "", "| | |", "|---|---|", *(f"| {name} | {value} |" for name, value in rows)]) + "\n"
+    if not rows:
+        raise ValueError(f"{folder} has none of {', '.join(f'{name}.json' for name in PARTS)}")
+    about = f"{machine['cpu']}, {machine['cpus']} CPUs; kinegraph {machine['kinegraph']}, "
+    return about + f"onnxruntime {machine['onnxruntime']}, Python {machine['python']}", dict(rows)
+
+
+def report(folders: Sequence[Path]) -> str:
+    """Markdown.
+
+    Raises:
+        ValueError: a result is of a quick run, or a folder has none or those of two machines.
+    """
+    columns = [measured(folder) for folder in folders]
+    names = dict.fromkeys(name for _, rows in columns for name in rows)
+    lines = ["| | " + " | ".join(about for about, _ in columns) + " |", "|---|" + "---|" * len(columns)]
+    lines += [f"| {name} | " + " | ".join(rows.get(name, "") for _, rows in columns) + " |" for name in names]
+    return "\n".join(lines) + "\n"
 
 
 def main() -> int:
     """0: written; 2: nothing to report."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument(
-        "--results", type=Path, required=True, help="folder of the JSON files; speed.md is written there"
+        "--results",
+        type=Path,
+        nargs="+",
+        required=True,
+        help="folders of JSON files; speed.md is written to the first",
     )
     given = parser.parse_args()
     try:
@@ -170,7 +190,7 @@ def main() -> int:
     except (KeyError, ValueError) as error:
         print(f"report: error: {error}", file=sys.stderr)
         return 2
-    (given.results / "speed.md").write_text(text, encoding="utf-8")
+    (given.results[0] / "speed.md").write_text(text, encoding="utf-8")
     print(text)
     return 0
 

@@ -16,7 +16,7 @@ import precision  # noqa: E402
 import report  # noqa: E402
 import scaling  # noqa: E402
 
-MACHINE = {"cpu": "a CPU", "cpus": 2, "onnxruntime": "1", "python": "3"}
+MACHINE = {"cpu": "a CPU", "cpus": 2, "kinegraph": "1", "onnxruntime": "1", "python": "3"}
 
 
 def test_arms_take_turns_and_every_repeat_is_kept() -> None:
@@ -71,8 +71,40 @@ def test_the_report_takes_what_is_there_and_refuses_quick_runs(tmp_path: Path) -
         "cold": {"graph": {"milliseconds": [400.0, 380.0], "peak_bytes": 160_000_000}},
     }
     (tmp_path / "bench.json").write_text(json.dumps(found))
-    text = report.report(tmp_path)
+    text = report.report([tmp_path])
     assert "35 ms (least 30)" in text and "380 ms, peak memory 160 MB" in text and "0.1%" in text
     (tmp_path / "low_power.json").write_text(json.dumps({"machine": MACHINE, "quick": True, "reports": {}}))
     with pytest.raises(ValueError, match="quick run"):
-        report.report(tmp_path)
+        report.report([tmp_path])
+
+
+def test_each_machine_has_its_column(tmp_path: Path) -> None:
+    times = {"reference": [20.0, 16.0], "candidate": [10.0, 12.0]}
+    for name, cpu, scale in (("here", "this CPU", 1.0), ("there", "that CPU", 4.0)):
+        (tmp_path / name).mkdir()
+        found = {
+            "machine": {**MACHINE, "cpu": cpu},
+            "distance_mm": {"world_mean": scale, "local_mean": 1.0},
+            "scores": {
+                part: {"behaviour": {"mean": 1}, "r_precision_1": {"mean": 1}} for part in ("candidate", "reference")
+            },
+            "times_ms": times,
+        }
+        (tmp_path / name / "precision.json").write_text(json.dumps(found))
+    reports = {"reports": {"one core": {"stages": {"total": [30.0]}}}, "machine": {**MACHINE, "cpu": "that CPU"}}
+    (tmp_path / "there" / "low_power.json").write_text(json.dumps(reports))
+    lines = report.report([tmp_path / "here", tmp_path / "there"]).splitlines()
+    assert lines[0].split(" | ")[1].startswith("this CPU") and lines[0].split(" | ")[2].startswith("that CPU")
+    assert "| int8 is faster | 1.60 x | 1.60 x |" in lines
+    assert (
+        "| joints of int8 and fp32 apart | 1 mm, around the pelvis 1.0 mm | 4 mm, around the pelvis 1.0 mm |" in lines
+    )
+    assert "| sentence to file on one core |  | 30 ms |" in lines
+    (tmp_path / "here" / "low_power.json").write_text(json.dumps(reports))
+    with pytest.raises(ValueError, match="was measured on this CPU, others on that CPU"):
+        report.report([tmp_path / "here"])
+
+
+def test_a_folder_without_results_is_named(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match=r"has none of bench\.json"):
+        report.report([tmp_path])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import platform
 import sys
 from functools import partial
 from pathlib import Path
@@ -42,6 +43,25 @@ def test_where_and_with_what_is_told(report: bench.BenchReport) -> None:
     assert all(
         word in text for word in (*LEVELS, "p99", "times as fast", "first file of a fresh process, from a graph")
     )
+
+
+@pytest.mark.parametrize(
+    ("cpuinfo", "name"),
+    [
+        (
+            "model name\t: AMD EPYC\nflags\t\t: sse2 avx2 avx512_vnni\n\nmodel name\t: AMD EPYC\n",
+            "AMD EPYC (AVX-512 VNNI)",
+        ),
+        ("model name\t: AMD EPYC\nflags\t\t: sse2 avx2 sha_ni\n", "AMD EPYC (AVX2)"),
+        ("processor\t: 0\nFeatures\t: fp asimd asimddp\n", f"{platform.machine()} (dot products)"),
+        ("model name\t: an old CPU: 2 GHz\nflags\t\t: sse2\n", "an old CPU: 2 GHz"),
+        ("", platform.machine()),
+    ],
+)
+def test_the_cpu_is_named_with_what_int8_runs_on(tmp_path: Path, cpuinfo: str, name: str) -> None:
+    (tmp_path / "cpuinfo").write_text(cpuinfo)
+    assert bench._cpu(tmp_path / "cpuinfo") == name
+    assert bench._cpu(tmp_path / "none") == platform.machine()
 
 
 def test_a_fresh_process_is_timed_and_its_memory_told(report: bench.BenchReport) -> None:
