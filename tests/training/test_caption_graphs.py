@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -27,6 +28,36 @@ def test_what_was_encoded_is_read_back(tmp_path: Path, monkeypatch: pytest.Monke
     for caption in CAPTIONS:
         np.testing.assert_array_equal(again.get(caption).nodes, first.get(caption).nodes)
         np.testing.assert_array_equal(again.get(caption).relation, first.get(caption).relation)
+
+
+def test_only_what_is_new_is_encoded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    cache, encoded = tmp_path / "captions.npz", []
+    whole = encode_captions(CAPTIONS, DEFAULT_BUNDLE, tmp_path / "whole.npz")
+    encode_captions(CAPTIONS[:2], DEFAULT_BUNDLE, cache)
+
+    def noted(assets: Path, verbs_masked: bool, captions: list[str], encode: Any = caption_graphs._encoded) -> Any:
+        encoded.extend(captions)
+        return encode(assets, verbs_masked, captions)
+
+    monkeypatch.setattr(caption_graphs, "_encoded", noted)
+    both = encode_captions(CAPTIONS, DEFAULT_BUNDLE, cache)
+    fewer = encode_captions(CAPTIONS[1:], DEFAULT_BUNDLE, cache)
+    assert encoded == CAPTIONS[2:]
+    assert set(fewer.captions) == set(CAPTIONS[1:])
+    for found, captions in ((both, CAPTIONS), (fewer, CAPTIONS[1:])):
+        for caption in captions:
+            for name, value in vars(whole.get(caption)).items():
+                np.testing.assert_array_equal(getattr(found.get(caption), name), value)
+
+
+def test_what_other_assets_encoded_is_encoded_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    cache = tmp_path / "captions.npz"
+    encode_captions(CAPTIONS, DEFAULT_BUNDLE, cache)
+    assets = {**caption_graphs.read_assets(DEFAULT_BUNDLE), "parser.bin": b"another parser"}
+    monkeypatch.setattr(caption_graphs, "read_assets", lambda folder: assets)
+    monkeypatch.setattr(caption_graphs, "_encoded", lambda *_: pytest.fail("encoded again"))
+    with pytest.raises(pytest.fail.Exception, match="encoded again"):
+        encode_captions(CAPTIONS, DEFAULT_BUNDLE, cache)
 
 
 def test_several_processes_encode_what_one_does(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -6,6 +6,7 @@ so that what is trained on is what will be seen.
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager
@@ -115,21 +116,24 @@ def without_verbs(graph: SemanticGraph) -> SemanticGraph:
 
 
 def encode_captions(captions: Sequence[str], assets: Path, cache: Path, *, verbs_masked: bool = False) -> CaptionGraphs:
-    """Encode distinct captions, or read them back if `cache` holds exactly these; `verbs_masked`: see
+    """Encode distinct captions, but for those that `cache` holds of the same assets; `verbs_masked`: see
     `without_verbs`, each under the caption as it is."""
     distinct = sorted(set(captions))
-    if cache.is_file():
-        with np.load(cache, allow_pickle=False) as stored:
-            if stored["captions"].tolist() == distinct:
-                return _unpacked(dict(stored))
-    parts = [distinct[place : place + PART] for place in range(0, len(distinct), PART)]
+    origin = hashlib.sha256(b"".join(read_assets(assets).values()) + bytes(verbs_masked)).hexdigest()
+    known = _read(cache, origin)
+    missing = [caption for caption in distinct if known is None or caption not in known.captions]
+    if known is not None and not missing and len(known.captions) == len(distinct):
+        return known
+    parts = [missing[place : place + PART] for place in range(0, len(missing), PART)]
     encode = partial(_encoded, assets, verbs_masked)
-    with _processes(len(parts)) as pool, tqdm(desc="captions", unit="caption", total=len(distinct)) as progress:
-        graphs: list[GraphArrays] = []
-        for part in pool.map(encode, parts) if pool else map(encode, parts):
-            graphs += part
+    found: dict[str, GraphArrays] = {}
+    with _processes(len(parts)) as pool, tqdm(desc="captions", unit="caption", total=len(missing)) as progress:
+        for part, graphs in zip(parts, pool.map(encode, parts) if pool else map(encode, parts), strict=True):
+            found.update(zip(part, graphs, strict=True))
             progress.update(len(part))
+    graphs = [found[caption] if known is None or caption in found else known.get(caption) for caption in distinct]
     packed = {
+        "origin": np.array(origin),
         "captions": np.array(distinct),
         "offsets": np.cumsum([0] + [len(graph.kind) for graph in graphs]),
         "nodes": np.concatenate([graph.nodes for graph in graphs]).astype(np.float16),
@@ -141,6 +145,14 @@ def encode_captions(captions: Sequence[str], assets: Path, cache: Path, *, verbs
     with cache.open("wb") as file:
         np.savez(file, **packed)
     return _unpacked(packed)
+
+
+def _read(cache: Path, origin: str) -> CaptionGraphs | None:
+    """What was kept, if it is of these assets."""
+    if not cache.is_file():
+        return None
+    with np.load(cache, allow_pickle=False) as stored:
+        return _unpacked(dict(stored)) if "origin" in stored and str(stored["origin"]) == origin else None
 
 
 def _encoded(assets: Path, verbs_masked: bool, captions: Sequence[str]) -> list[GraphArrays]:
