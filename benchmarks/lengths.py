@@ -93,7 +93,8 @@ def main() -> None:
     clips = [clip for split in SPLITS for clip in read_split(given.data, split)]
     rows = [row(pipe, behaviour, clips, given.seeds) for behaviour in CONTENTS]
     total = summary(rows)
-    written(given.out, {"rows": rows, "summary": total}, table(rows, total))
+    bundle = f"{pipe.manifest.name} {pipe.manifest.version}"
+    written(given.out, {"bundle": bundle, "rows": rows, "summary": total}, table(rows, total))
 
 
 if __name__ == "__main__":
