@@ -55,7 +55,7 @@ def test_they_turn_to_their_side_by_what_their_captions_say() -> None:
     assert {clip.content for clip in found} == {
         f"{content}-turn-{side}" for content in ("walk", "run") for side in ("left", "right")
     }
-    assert len({clip.id for clip in found}) == 40
+    assert len({clip.id for clip in found}) == 40 and all(clip.any_length for clip in found)
     for clip in found:
         side = clip.content.split("-")[-1]
         degrees = turned(clip.joints) if side == "left" else -turned(clip.joints)

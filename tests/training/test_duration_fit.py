@@ -5,9 +5,16 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+pytest.importorskip("lightning")
+
 from kinegraph.conditions import GraphArrays
 from kinegraph.duration import expected_frames
+from kinegraph.tables import DURATION
+from kinegraph_training.caption_graphs import CaptionGraphs
+from kinegraph_training.data import MotionClip
+from kinegraph_training.dataset import Dataset
 from kinegraph_training.duration import fit_duration
+from kinegraph_training.train_denoisers import measured
 
 
 def graph(sentence: np.ndarray) -> GraphArrays:
@@ -26,3 +33,21 @@ def test_a_linear_law_is_found_again() -> None:
     assert weights.dtype == np.float32
     for one, frames in pairs[:50]:
         assert expected_frames(weights, [one], 1, 10_000) == pytest.approx(frames, rel=0.06, abs=1)
+
+
+def test_clips_made_to_any_length_say_nothing_of_it() -> None:
+    sentences = np.random.default_rng(1).standard_normal((60, 3))
+    graphs = {f"caption {number}": graph(one) for number, one in enumerate(sentences)}
+    known = CaptionGraphs({}, np.zeros(1), np.zeros(0), np.zeros(0), np.zeros(0), [])
+    object.__setattr__(known, "get", graphs.get)
+
+    def clips(frames: int, *, any_length: bool) -> list[MotionClip]:
+        joints = np.tile(np.arange(66, dtype=np.float32).reshape(22, 3), (frames, 1, 1))
+        return [MotionClip("id", joints, (name,), "walk", "normal", any_length=any_length) for name in graphs]
+
+    def fitted(found: list[MotionClip]) -> np.ndarray:
+        return measured(Dataset(found, [], np.zeros(137), np.ones(137)), known)[DURATION]
+
+    usual = clips(80, any_length=False)
+    np.testing.assert_array_equal(fitted(usual + clips(30, any_length=True)), fitted(usual))
+    assert np.abs(fitted(usual + clips(30, any_length=False)) - fitted(usual)).max() > 0.1

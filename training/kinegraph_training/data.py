@@ -37,6 +37,8 @@ class MotionClip:
     style: str
     steps: int | None = None
     """Steps taken, where the index counts them."""
+    any_length: bool = False
+    """Made as long as it was drawn to be: it says nothing of how long its captions usually take."""
 
 
 def mirrored_caption(caption: str) -> str:

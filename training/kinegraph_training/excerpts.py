@@ -69,6 +69,7 @@ def make_excerpts(clips: Sequence[MotionClip], count: int, seed: int, max_frames
                 joints=placed(joints[start : start + frames]),
                 captions=captions,
                 steps=None,
+                any_length=True,
             )
         )
     return made

@@ -134,7 +134,8 @@ def measured(train: Dataset, graphs: CaptionGraphs | CaptionStates) -> dict[str,
     """What the bundle says of the training clips besides the networks: how long they are, how long their bones."""
     tables = {}
     if isinstance(graphs, CaptionGraphs):
-        frames = [(graphs.get(caption), len(clip.joints)) for clip in train.clips for caption in clip.captions]
+        usual = [clip for clip in train.clips if not clip.any_length]
+        frames = [(graphs.get(caption), len(clip.joints)) for clip in usual for caption in clip.captions]
         tables[DURATION] = fit_duration(frames)
     lengths = common_bone_lengths(clip.joints for clip in train.clips)
     return tables if lengths is None else {**tables, BONE_LENGTHS: lengths}
