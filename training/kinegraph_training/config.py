@@ -29,10 +29,6 @@ class DataConfig:
     """Walks and runs of other lengths than the recorded ones."""
     paces: int = 0
     """Walks, runs and turns slower and faster than recorded, whose captions say so."""
-    bends: int = 0
-    """Walks and runs bent into turns, in all manners that have a walk or a run."""
-    straight_manners: tuple[str, ...] = ()
-    """Manners in which nothing is bent: turning in them is held out for testing."""
     rare_weight: float = 3.0
     """How much more often the denoisers see clips of contents with fewer than 50 clips."""
     seed: int = 7

@@ -11,7 +11,6 @@ import numpy as np
 from kinegraph.errors import InvalidInputError
 from kinegraph.motion.features import features_from_joints, normalisation
 from kinegraph.motion.skeleton import FloatArray
-from kinegraph_training.bends import make_bends
 from kinegraph_training.compositions import HeldOut, make_sequences, make_splices
 from kinegraph_training.config import DataConfig
 from kinegraph_training.data import MotionClip, mirrored_clip, read_split
@@ -59,7 +58,6 @@ def training_clips(
         clips = with_counted_steps(clips, config.seed + 2) + made
     excerpts = make_excerpts(labelled, config.excerpts, config.seed + 4, config.max_frames)
     clips += excerpts + make_paces(labelled + excerpts, config.paces, config.seed + 5, config.max_frames)
-    clips += make_bends(labelled, config.bends, config.seed + 6, config.max_frames, config.straight_manners)
     clips += [clip for own in more for clip in read_split(own, "train") if len(clip.joints) >= config.min_frames]
     return clips + [mirrored_clip(clip) for clip in clips]
 

@@ -124,18 +124,6 @@ COUNTED_STEPS: dict[str, tuple[str, ...]] = {
 }  # fmt: skip
 """Ways to say how many steps are taken, per content."""
 
-TURNED: dict[str, tuple[str, ...]] = {
-    "walk": ("turns {side} while walking", "walks and turns to the {side}", "walks forward and then turns {side}",
-             "turns to the {side}", "walks around a turn to the {side}"),
-    "run": ("turns {side} while running", "runs and turns to the {side}", "runs forward and then turns {side}",
-            "jogs around a turn to the {side}"),
-}  # fmt: skip
-TURNED_BY: dict[str, tuple[str, ...]] = {
-    "walk": ("walks and turns about {n} degrees to the {side}", "turns {side} by about {n} degrees while walking"),
-    "run": ("runs and turns about {n} degrees to the {side}", "turns {side} by about {n} degrees while running"),
-}
-"""Ways to say that a walk or a run turns, and by how much."""
-
 CAPTIONS_PER_CLIP = 4
 
 
@@ -169,17 +157,6 @@ def counted_captions(content: str, steps: int | None, style: str, rng: np.random
         text = _one(COUNTED_STEPS[content], rng).format(subject=_one(SUBJECTS, rng), n=NUMBERS[steps - 2])
         made.append(f"{text} {_one(MANNERS.get(style, ('',)), rng)}".strip() + ".")
     return tuple(made)
-
-
-def turned_captions(content: str, side: str, degrees: float, style: str, rng: np.random.Generator) -> tuple[str, ...]:
-    """Four captions of a walk or a run that turns; one of them says by how many degrees, to the next ten."""
-    chosen = [_one(TURNED[content], rng) for _ in range(CAPTIONS_PER_CLIP - 1)] + [_one(TURNED_BY[content], rng)]
-    return tuple(
-        f"{_one(SUBJECTS, rng)} {text.format(side=side, n=10 * round(degrees / 10))} "
-        f"{_one(MANNERS.get(style, ('',)), rng)}".strip()
-        + "."
-        for text in chosen
-    )
 
 
 def concept_caption(content: str, style: str, rng: np.random.Generator) -> str:
