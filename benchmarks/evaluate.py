@@ -22,7 +22,7 @@ from composed_scores import as_clips, by_training, composed_scores
 from evaluator import Evaluator
 from numpy.typing import NDArray
 from recogniser import Recogniser
-from scores import GROUP, Judges, Reference, has_twin, scores, summarised
+from scores import GROUP, Judges, Reference, by_pair, has_twin, scores, summarised
 from takes import BundleModel, Model, captions_of, folder_of, generated
 from written import written
 
@@ -33,6 +33,8 @@ from kinegraph_training.data import MotionClip, read_split
 from kinegraph_training.metrics import bootstrap, frechet_distance, label_groups, multimodality, r_precision
 
 MIN_FRAMES = 16
+MOST_PAIRS = 12
+"""Content-style pairs of a split that the table tells apart; the JSON has those of every split."""
 SPLITS = ("dev_test", "dev_compositional")
 KINDS: tuple[Kind, ...] = ("in_order", "together")
 
@@ -73,13 +75,14 @@ def generated_scores(
     folder = folder_of(model, plan.work, split, reference.clips, plan.options)
     alone = [row for row, twin in enumerate(twins) if not twin]
     rng = np.random.default_rng(2)
-    rows, rows_alone, embeddings, texts = [], [], [], []
+    rows, rows_alone, embeddings, texts, pairs = [], [], [], [], []
     for take in range(plan.repeats):
         motions, captions = generated(model, reference.clips, take, folder, **plan.options)
         found, embedded, text = scores(motions, captions, reference, judges, rng)
         rows.append(found)
         embeddings.append(embedded)
         texts.append(text)
+        pairs.append(by_pair(motions, reference.clips, judges.recogniser))
         if len(alone) > 1:
             part = Reference([reference.clips[row] for row in alone], reference.embeddings[alone])
             rows_alone.append(scores([motions[r] for r in alone], [captions[r] for r in alone], part, judges, rng)[0])
@@ -93,6 +96,8 @@ def generated_scores(
         "multimodality": takes_apart(embeddings, reference.clips, rng),
         "clips_without_near_twin": len(alone),
         "without_near_twins": summarised(rows_alone) if rows_alone else None,
+        "by_pair": {pair: summarised([take[pair] for take in pairs]) for pair in pairs[0]},
+        "by_pair_captured": by_pair([clip.joints for clip in reference.clips], reference.clips, judges.recogniser),
     }
 
 
@@ -202,9 +207,21 @@ def table(result: dict[str, Any]) -> str:
             lines.append(f"| {name} | {cells} | {other} |")
         if made["multimodality"] is not None:
             lines.append(f"| multimodality | - | {made['multimodality']:.3f} | - | - |")
+        if len(made["by_pair"]) <= MOST_PAIRS:
+            lines += pairs_table(made["by_pair"], made["by_pair_captured"])
     for kind, parts in result["two_actions"].items():
         lines += two_actions_table(kind, parts)
     return "\n".join(lines) + "\n"
+
+
+def pairs_table(made: dict[str, Any], captured: dict[str, Any]) -> list[str]:
+    """Lines of Markdown."""
+    names = list(next(iter(captured.values())))
+    lines = ["", "| generated (captured) | " + " | ".join(names) + " |", "|---|" + "---|" * len(names)]
+    for pair, own in captured.items():
+        cells = [f"{made[pair][name]['mean']:.2f} ({own[name]:.2f})" if name in own else "-" for name in names]
+        lines.append(f"| {pair} | " + " | ".join(cells) + " |")
+    return lines
 
 
 def two_actions_table(kind: str, parts: dict[str, Any]) -> list[str]:

@@ -114,6 +114,22 @@ def recognised(motions: Sequence[Joints], clips: Sequence[MotionClip], recognise
     return found
 
 
+def by_pair(
+    motions: Sequence[Joints], clips: Sequence[MotionClip], recogniser: Recogniser
+) -> dict[str, dict[str, float]]:
+    """Behaviour and recognition of each content-style pair: where a mean over a split is lost."""
+    rows: dict[str, list[int]] = {}
+    for row, clip in enumerate(clips):
+        rows.setdefault(f"{clip.content}/{clip.style}", []).append(row)
+    found = {}
+    for pair, own in sorted(rows.items()):
+        made, theirs = [motions[row] for row in own], [clips[row] for row in own]
+        found[pair] = recognised(made, theirs, recogniser)
+        if theirs[0].content in PREDICATES:
+            found[pair]["behaviour"] = float(np.mean([PREDICATES[theirs[0].content](joints) for joints in made]))
+    return found
+
+
 def has_twin(clips: Sequence[MotionClip], train: Sequence[MotionClip], frames: int = 32) -> list[bool]:
     """Whether a training clip of the same content and style is nearer than `TWIN`, both resampled to `frames`."""
     known: dict[tuple[str, str], list[Joints]] = {}

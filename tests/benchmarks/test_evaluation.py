@@ -13,7 +13,7 @@ from caption_claims import Claim, claims, hand_height, steps
 from evaluate import captured_scores, table
 from motions import SHARED, posed, t_pose, turn, walk
 from recogniser import Recogniser
-from scores import Judges, Reference, has_twin, summarised
+from scores import Judges, Reference, by_pair, has_twin, summarised
 from takes import captions_of, folder_of, generated
 
 from kinegraph.motion.skeleton import bone_lengths
@@ -79,6 +79,19 @@ def test_recognition_tells_what_it_was_shown() -> None:
     unseen = [one.joints for one in some(20)]
     assert recogniser(unseen, "content") == ["run", "stand"]
     assert recogniser(unseen, "style") == ["active", "calm"]
+
+
+def test_each_pair_has_its_own_rates() -> None:
+    captured = [clip("walk", walk(60, speed=0.05), "old"), clip("walk", walk(60, speed=0.05), "old"),
+                clip("run", walk(60, speed=0.15), "old"), clip("sit", t_pose(60), "calm")]  # fmt: skip
+    judge = Recogniser(captured)
+    # one of two walks stands still instead
+    made = [captured[0].joints, captured[3].joints, captured[2].joints, captured[3].joints]
+    found = by_pair(made, captured, judge)
+    assert list(found) == ["run/old", "sit/calm", "walk/old"]
+    assert found["walk/old"] == {"content": 0.5, "style": 0.5, "behaviour": 0.5}
+    assert found["sit/calm"] == {"content": 1.0, "style": 1.0}
+    assert found["run/old"]["content"] == 1.0
 
 
 def test_a_twin_is_a_near_clip_of_the_same_label() -> None:
@@ -156,7 +169,8 @@ def test_a_summary_holds_what_only_some_repeats_have() -> None:
 def test_the_table_says_both_sides() -> None:
     value = {"mean": 0.5, "plus_minus": 0.01}
     made = {"clips": 9, "distinct_pairs": 3, "group": 3, "clips_without_near_twin": 4, "mean": {"fid": value},
-            "without_near_twins": None, "multimodality": 0.2}  # fmt: skip
+            "without_near_twins": None, "multimodality": 0.2, "by_pair": {"walk/old": {"content": value}},
+            "by_pair_captured": {"walk/old": {"content": 0.75}}}  # fmt: skip
     parts = {"captured": {"fid": {"mean": 0.0, "plus_minus": 0.0}}, "generated": made}
     held = {"clips": 4, "both_hold": 0.9}
     two = {"clips": 7, "captured": {"fid": {"mean": 0.25}}, "generated": {"fid": value},
@@ -167,3 +181,7 @@ def test_the_table_says_both_sides() -> None:
     assert "| fid | 0.250 | 0.500 ± 0.010 | 2.00 |" in text
     assert "| both_hold, 4 pairs held out | 0.900 | 0.450 | 0.50 |" in text
     assert "| fid | 0.000 | 0.500 ± 0.010 | - | - |" in text
+    assert "| walk/old | 0.50 (0.75) |" in text
+    many = {f"{number}/old": {"content": value} for number in range(20)}
+    assert "/old" not in table({**result, "two_actions": {}, "splits": {"dev_test": parts | {
+        "generated": made | {"by_pair": many}}}})  # fmt: skip
