@@ -18,7 +18,7 @@ COMPARISONS = Path(__file__).resolve().parents[2] / "benchmarks" / "comparisons"
 def test_the_packages_own_presets(name: str) -> None:
     preset = read_preset(name)
     assert preset.name == name
-    # GraphMotion's numbers of latent tokens per level; of the default bundle 16, which keep hands that wave
+    # GraphMotion's numbers of latent tokens per level; of edge 16, which keep the speed of hands that wave
     assert [config.tokens for config in preset.vae.values()] == [2, 4, 16 if name == "edge" else 8]
 
 
