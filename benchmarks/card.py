@@ -20,7 +20,7 @@ import numpy as np
 FILES = ("evaluate", "reconstruction", "behaviour", "masked_verbs", "lengths")
 SPLITS = {"dev_test": "dev", "dev_compositional": "unseen_pairs"}
 RATES = ("r_precision_1", "behaviour", "content", "style")
-RATIOS = {"jerk": "jerk", "foot_skate": "foot_skate", "wave_speed": "wave_speed"}
+RATIOS = ("jerk", "foot_skate", "wave_speed")
 CLAIMS = ("steps", "degrees", "height")
 TOGETHER = {"in_order": "two_actions_in_order", "together": "two_actions_together"}
 Figure = tuple[str, float, int]
@@ -50,8 +50,8 @@ def evaluated(result: dict[str, Any]) -> Iterator[Figure]:
             yield f"{label}_{name}", made[name]["mean"], 3
             yield f"{label}_{name}_captured", real[name]["mean"], 3
         yield f"{label}_fid", made["fid"]["mean"], 3
-        for name, short in RATIOS.items():
-            yield f"{label}_{short}_to_captured", made[name]["mean"] / real[name]["mean"], 2
+        for name in RATIOS:
+            yield f"{label}_{name}_to_captured", made[name]["mean"] / real[name]["mean"], 2
         for claim in CLAIMS:
             yield f"{label}_claims_{claim}", made[f"claims_{claim}"]["mean"], 3
     for kind, label in TOGETHER.items():

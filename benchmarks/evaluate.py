@@ -82,7 +82,7 @@ def generated_scores(
         rows.append(found)
         embeddings.append(embedded)
         texts.append(text)
-        pairs.append(by_pair(motions, reference.clips, judges.recogniser))
+        pairs.append(by_pair(motions, reference, judges.recogniser))
         if len(alone) > 1:
             part = Reference([reference.clips[row] for row in alone], reference.embeddings[alone])
             rows_alone.append(scores([motions[r] for r in alone], [captions[r] for r in alone], part, judges, rng)[0])
@@ -97,7 +97,7 @@ def generated_scores(
         "clips_without_near_twin": len(alone),
         "without_near_twins": summarised(rows_alone) if rows_alone else None,
         "by_pair": {pair: summarised([take[pair] for take in pairs]) for pair in pairs[0]},
-        "by_pair_captured": by_pair([clip.joints for clip in reference.clips], reference.clips, judges.recogniser),
+        "by_pair_captured": by_pair([clip.joints for clip in reference.clips], reference, judges.recogniser),
     }
 
 

@@ -114,16 +114,14 @@ def recognised(motions: Sequence[Joints], clips: Sequence[MotionClip], recognise
     return found
 
 
-def by_pair(
-    motions: Sequence[Joints], clips: Sequence[MotionClip], recogniser: Recogniser
-) -> dict[str, dict[str, float]]:
+def by_pair(motions: Sequence[Joints], reference: Reference, recogniser: Recogniser) -> dict[str, dict[str, float]]:
     """Behaviour and recognition of each content-style pair: where a mean over a split is lost."""
     rows: dict[str, list[int]] = {}
-    for row, clip in enumerate(clips):
-        rows.setdefault(f"{clip.content}/{clip.style}", []).append(row)
+    for row, label in enumerate(reference.labels):
+        rows.setdefault(label, []).append(row)
     found = {}
     for pair, own in sorted(rows.items()):
-        made, theirs = [motions[row] for row in own], [clips[row] for row in own]
+        made, theirs = [motions[row] for row in own], [reference.clips[row] for row in own]
         found[pair] = recognised(made, theirs, recogniser)
         if theirs[0].content in PREDICATES:
             found[pair]["behaviour"] = float(np.mean([PREDICATES[theirs[0].content](joints) for joints in made]))

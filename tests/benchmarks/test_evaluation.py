@@ -87,7 +87,7 @@ def test_each_pair_has_its_own_rates() -> None:
     judge = Recogniser(captured)
     # one of two walks stands still instead
     made = [captured[0].joints, captured[3].joints, captured[2].joints, captured[3].joints]
-    found = by_pair(made, captured, judge)
+    found = by_pair(made, Reference(captured, np.zeros((4, 1), np.float32)), judge)
     assert list(found) == ["run/old", "sit/calm", "walk/old"]
     assert found["walk/old"] == {"content": 0.5, "style": 0.5, "behaviour": 0.5}
     assert found["sit/calm"] == {"content": 1.0, "style": 1.0}

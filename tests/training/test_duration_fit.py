@@ -5,16 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-pytest.importorskip("lightning")
-
 from kinegraph.conditions import GraphArrays
 from kinegraph.duration import expected_frames
 from kinegraph.tables import DURATION
-from kinegraph_training.caption_graphs import CaptionGraphs
-from kinegraph_training.data import MotionClip
-from kinegraph_training.dataset import Dataset
 from kinegraph_training.duration import fit_duration
-from kinegraph_training.train_denoisers import measured
 
 
 def graph(sentence: np.ndarray) -> GraphArrays:
@@ -36,6 +30,12 @@ def test_a_linear_law_is_found_again() -> None:
 
 
 def test_clips_made_to_any_length_say_nothing_of_it() -> None:
+    pytest.importorskip("lightning")
+    from kinegraph_training.caption_graphs import CaptionGraphs
+    from kinegraph_training.data import MotionClip
+    from kinegraph_training.dataset import Dataset
+    from kinegraph_training.train_denoisers import measured
+
     sentences = np.random.default_rng(1).standard_normal((60, 3))
     graphs = {f"caption {number}": graph(one) for number, one in enumerate(sentences)}
     known = CaptionGraphs({}, np.zeros(1), np.zeros(0), np.zeros(0), np.zeros(0), [])

@@ -119,19 +119,19 @@ def encode_captions(captions: Sequence[str], assets: Path, cache: Path, *, verbs
     """Encode distinct captions, but for those that `cache` holds of the same assets; `verbs_masked`: see
     `without_verbs`, each under the caption as it is."""
     distinct = sorted(set(captions))
-    origin = hashlib.sha256(b"".join(read_assets(assets).values()) + bytes(verbs_masked)).hexdigest()
+    origin = hashlib.sha256(b"".join(read_assets(assets).values()) + bytes([verbs_masked])).hexdigest()
     known = _read(cache, origin)
-    missing = [caption for caption in distinct if known is None or caption not in known.captions]
-    if known is not None and not missing and len(known.captions) == len(distinct):
+    if known is not None and list(known.captions) == distinct:
         return known
+    found = {caption: known.get(caption) for caption in distinct if caption in known.captions} if known else {}
+    missing = [caption for caption in distinct if caption not in found]
     parts = [missing[place : place + PART] for place in range(0, len(missing), PART)]
     encode = partial(_encoded, assets, verbs_masked)
-    found: dict[str, GraphArrays] = {}
     with _processes(len(parts)) as pool, tqdm(desc="captions", unit="caption", total=len(missing)) as progress:
-        for part, graphs in zip(parts, pool.map(encode, parts) if pool else map(encode, parts), strict=True):
-            found.update(zip(part, graphs, strict=True))
+        for part, encoded in zip(parts, pool.map(encode, parts) if pool else map(encode, parts), strict=True):
+            found.update(zip(part, encoded, strict=True))
             progress.update(len(part))
-    graphs = [found[caption] if known is None or caption in found else known.get(caption) for caption in distinct]
+    graphs = [found[caption] for caption in distinct]
     packed = {
         "origin": np.array(origin),
         "captions": np.array(distinct),
