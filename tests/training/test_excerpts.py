@@ -15,7 +15,7 @@ from kinegraph.motion.skeleton import bone_lengths, facing_angle
 from kinegraph_training.config import DataConfig
 from kinegraph_training.data import MotionClip, read_split
 from kinegraph_training.dataset import training_clips
-from kinegraph_training.excerpts import SHORTEST, make_excerpts
+from kinegraph_training.excerpts import SHORTEST, in_manners_that_turn, make_excerpts
 
 CAPTIONS = ("a person walks forward.", "a person walks nine steps.", "someone covers about ten meters.")
 
@@ -50,6 +50,11 @@ def test_turns_and_gestures_are_left_whole() -> None:
     assert make_excerpts([clip("walk-turn-left", 90), clip("wave-left-hand", 90), clip("walk", 20)], 5, 1, 190) == []
 
 
+def test_manners_that_were_never_recorded_turning_are_told_apart() -> None:
+    young = [clip("walk", 90, "youthful"), clip("walk-turn-left", 90, "youthful")]
+    assert in_manners_that_turn([clip("walk", 90, "elderly"), *young, clip("wave-left-hand", 90)]) == young
+
+
 def test_a_preset_asks_for_them(tmp_path: Path) -> None:
     data, held = SHARED / "data" / "bandai", SHARED / "data" / "held_out_pairs.json"
     if not data.is_dir():
@@ -61,6 +66,7 @@ def test_a_preset_asks_for_them(tmp_path: Path) -> None:
     assert len(without) == len(more) - 60
     walks = [each for each in read_split(data, "train") if each.content == "walk"]
     straight = [each for each in more if each.id.startswith("excerpt") and each.content == "walk"]
+    assert not any("elderly" in each.style for each in more if each.id.startswith(("excerpt", "pace")))
     assert straight and max(np.ptp(facing_angle(each.joints)) for each in straight) <= 0.2 + max(
         np.ptp(facing_angle(each.joints)) for each in walks
     )

@@ -14,7 +14,7 @@ from kinegraph.motion.skeleton import FloatArray
 from kinegraph_training.compositions import HeldOut, make_sequences, make_splices
 from kinegraph_training.config import DataConfig
 from kinegraph_training.data import MotionClip, mirrored_clip, read_split
-from kinegraph_training.excerpts import make_excerpts
+from kinegraph_training.excerpts import in_manners_that_turn, make_excerpts
 from kinegraph_training.paces import make_paces, paced_clips
 from kinegraph_training.phrases import counted_captions
 
@@ -56,8 +56,9 @@ def training_clips(
         made = make_splices(labelled, config.splices, held, config.seed)
         made += make_sequences(labelled, config.sequences, held, config.seed + 1, config.max_frames)
         clips = with_counted_steps(clips, config.seed + 2) + made
-    excerpts = make_excerpts(labelled, config.excerpts, config.seed + 4, config.max_frames)
-    clips += excerpts + make_paces(labelled + excerpts, config.paces, config.seed + 5, config.max_frames)
+    turning = in_manners_that_turn(labelled)
+    excerpts = make_excerpts(turning, config.excerpts, config.seed + 4, config.max_frames)
+    clips += excerpts + make_paces(turning + excerpts, config.paces, config.seed + 5, config.max_frames)
     clips += [clip for own in more for clip in read_split(own, "train") if len(clip.joints) >= config.min_frames]
     return clips + [mirrored_clip(clip) for clip in clips]
 
