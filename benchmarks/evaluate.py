@@ -22,7 +22,7 @@ from composed_scores import as_clips, by_training, composed_scores
 from evaluator import Evaluator
 from numpy.typing import NDArray
 from recogniser import Recogniser
-from scores import GROUP, Judges, Reference, by_pair, has_twin, scores, summarised
+from scores import GROUP, Judges, Reference, by_pair, has_twin, kept_labels, scores, summarised
 from takes import BundleModel, Model, captions_of, folder_of, generated
 from written import written
 
@@ -64,7 +64,7 @@ def captured_scores(reference: Reference, judges: Judges, repeats: int) -> dict[
     rng = np.random.default_rng(1)
     rows, motions = [], [clip.joints for clip in reference.clips]
     for take in range(repeats):
-        rows.append(scores(motions, captions_of(reference.clips, take), reference, judges, rng)[0])
+        rows.append(scores(motions, captions_of(reference.clips, take), reference, judges, rng).numbers)
     return summarised(rows)
 
 
@@ -78,15 +78,18 @@ def generated_scores(
     rows, rows_alone, embeddings, texts, pairs = [], [], [], [], []
     for take in range(plan.repeats):
         motions, captions = generated(model, reference.clips, take, folder, **plan.options)
-        found, embedded, text = scores(motions, captions, reference, judges, rng)
-        rows.append(found)
-        embeddings.append(embedded)
-        texts.append(text)
-        pairs.append(by_pair(motions, reference, judges.recogniser))
+        found = scores(motions, captions, reference, judges, rng)
+        rows.append(found.numbers)
+        embeddings.append(found.embeddings)
+        texts.append(found.texts)
+        pairs.append(by_pair(found.kept, reference))
         if len(alone) > 1:
             part = Reference([reference.clips[row] for row in alone], reference.embeddings[alone])
-            rows_alone.append(scores([motions[r] for r in alone], [captions[r] for r in alone], part, judges, rng)[0])
-        print(f"{split} take {take + 1} of {plan.repeats}: R@1 {found['r_precision_1']:.3f}", file=sys.stderr)
+            some = scores([motions[r] for r in alone], [captions[r] for r in alone], part, judges, rng)
+            rows_alone.append(some.numbers)
+        reached = found.numbers["r_precision_1"]
+        print(f"{split} take {take + 1} of {plan.repeats}: R@1 {reached:.3f}", file=sys.stderr)
+    real = kept_labels([clip.joints for clip in reference.clips], reference.clips, judges.recogniser)
     return {
         "clips": len(reference.clips),
         "distinct_pairs": len(set(reference.labels)),
@@ -97,7 +100,7 @@ def generated_scores(
         "clips_without_near_twin": len(alone),
         "without_near_twins": summarised(rows_alone) if rows_alone else None,
         "by_pair": {pair: summarised([take[pair] for take in pairs]) for pair in pairs[0]},
-        "by_pair_captured": by_pair([clip.joints for clip in reference.clips], reference, judges.recogniser),
+        "by_pair_captured": by_pair(real, reference),
     }
 
 

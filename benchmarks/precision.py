@@ -77,7 +77,7 @@ def quality(given: argparse.Namespace) -> dict[str, Any]:
         rng = np.random.default_rng(2)
         takes = [generated(model, clips, take, folder) for take in range(given.repeats)]
         made[name] = [motions for motions, _ in takes]
-        rows[name] = [scores(motions, captions, known, judges, rng)[0] for motions, captions in takes]
+        rows[name] = [scores(motions, captions, known, judges, rng).numbers for motions, captions in takes]
         print(f"{name}: {rows[name][0]['r_precision_1']:.3f}", file=sys.stderr)
     pairs = [distances(one, other) for one, other in zip(made["reference"], made["candidate"], strict=True)]
     return {

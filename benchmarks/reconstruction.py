@@ -16,7 +16,7 @@ import torch
 from evaluator import Evaluator
 from numpy.typing import NDArray
 from recogniser import Recogniser
-from scores import Reference, grouped_r_precision, is_wave, recognised
+from scores import Reference, grouped_r_precision, is_wave, kept_labels, means
 from written import written
 
 from kinegraph.motion.features import features_from_joints, joints_from_features
@@ -55,7 +55,7 @@ def level_scores(
     hits = grouped_r_precision(texts, embedded, reference.labels, np.random.default_rng(0))
     found = {name: float(np.mean([one[name] for one in errors])) for name in ("local_mm", "global_mm")}
     found["fid"] = frechet_distance(embedded, real)
-    found |= {"r_precision_1": float(hits[0]), **recognised(motions, clips, recogniser)}
+    found |= {"r_precision_1": float(hits[0]), **means(kept_labels(motions, clips, recogniser))}
     for name, measure in (("jerk", measures.jerk), ("foot_skate", measures.foot_skate)):
         made, own = (float(np.nanmean([measure(joints) for joints in part])) for part in (motions, captured))
         found[f"{name}_ratio"] = made / own

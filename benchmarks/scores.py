@@ -49,10 +49,23 @@ class Reference:
         return [f"{clip.content}/{clip.style}" for clip in self.clips]
 
 
+@dataclass(frozen=True)
+class Scored:
+    """One motion per clip of a reference, n of them."""
+
+    numbers: dict[str, float]
+    embeddings: NDArray[np.float32]
+    """(n, e) of the motions."""
+    texts: NDArray[np.float32]
+    """(n, e) of the captions."""
+    kept: dict[str, NDArray[np.float64]]
+    """See `kept_labels`."""
+
+
 def scores(
     motions: Sequence[Joints], captions: Sequence[str], reference: Reference, judges: Judges, rng: np.random.Generator
-) -> tuple[dict[str, float], NDArray[np.float32], NDArray[np.float32]]:
-    """Numbers of one motion per clip of the reference; also the embeddings (n, e) of motions and of captions."""
+) -> Scored:
+    """All numbers of one motion per clip of the reference."""
     embedded, texts = judges.evaluator.motions(motions), judges.evaluator.captions(captions)
     hits = grouped_r_precision(texts, embedded, reference.labels, rng)
     found = {f"r_precision_{place}": float(hit) for place, hit in enumerate(hits, start=1)}
@@ -62,16 +75,15 @@ def scores(
     found["fid_of_halves"] = frechet_distance(embedded[half], reference.embeddings[other])
     found["mm_dist"] = matching_distance(texts, embedded)
     found["diversity"] = diversity(embedded, rng)
-    found |= behaviour_scores(motions, captions, reference.clips) | recognised(
-        motions, reference.clips, judges.recogniser
-    )
+    kept = kept_labels(motions, reference.clips, judges.recogniser)
+    found |= means(kept) | claims_kept(motions, captions)
     found["jerk"] = float(np.mean([measures.jerk(joints) for joints in motions]))
     found["foot_skate"] = float(np.nanmean([measures.foot_skate(joints) for joints in motions]))
     waving = [joints for joints, clip in zip(motions, reference.clips, strict=True) if is_wave(clip)]
     if waving:
         found["wave_speed"] = float(np.mean([measures.hand_speed(joints) for joints in waving]))
     found["bone_error_mm"] = float(np.mean([measures.bone_error(joints, judges.bone_lengths) for joints in motions]))
-    return found, embedded, texts
+    return Scored(found, embedded, texts, kept)
 
 
 def is_wave(clip: MotionClip) -> bool:
@@ -88,44 +100,43 @@ def grouped_r_precision(
     return found
 
 
-def behaviour_scores(
-    motions: Sequence[Joints], captions: Sequence[str], clips: Sequence[MotionClip]
-) -> dict[str, float]:
-    """Share of motions that do what their label says, and of the claims of their captions that they keep."""
-    held = [
-        PREDICATES[clip.content](joints)
-        for joints, clip in zip(motions, clips, strict=True)
-        if clip.content in PREDICATES
-    ]
+def claims_kept(motions: Sequence[Joints], captions: Sequence[str]) -> dict[str, float]:
+    """Share of the claims of captions that their motions keep."""
     kept: dict[str, list[bool]] = {"steps": [], "degrees": [], "height": []}
     for joints, caption in zip(motions, captions, strict=True):
         for claim in claims(caption):
             kept[claim.kind].append(claim.holds(joints))
-    found = {f"claims_{kind}": float(np.mean(values)) for kind, values in kept.items() if values}
-    return {"behaviour": float(np.mean(held)), **found}
+    return {f"claims_{kind}": float(np.mean(values)) for kind, values in kept.items() if values}
 
 
-def recognised(motions: Sequence[Joints], clips: Sequence[MotionClip], recogniser: Recogniser) -> dict[str, float]:
-    """How often content and style are recognised as those of the caption's clip."""
-    found = {}
+def kept_labels(
+    motions: Sequence[Joints], clips: Sequence[MotionClip], recogniser: Recogniser
+) -> dict[str, NDArray[np.float64]]:
+    """Per clip (n,) 1 where its motion does what its content says (nan: no predicate says) and where its content and
+    its style are recognised, else 0."""
+    does = [
+        float(PREDICATES[clip.content](joints)) if clip.content in PREDICATES else np.nan
+        for joints, clip in zip(motions, clips, strict=True)
+    ]
+    found = {"behaviour": np.array(does)}
     for name in ("content", "style"):
         seen = recogniser(motions, name)
-        found[name] = float(np.mean([one == getattr(clip, name) for one, clip in zip(seen, clips, strict=True)]))
+        found[name] = np.array([float(one == getattr(clip, name)) for one, clip in zip(seen, clips, strict=True)])
     return found
 
 
-def by_pair(motions: Sequence[Joints], reference: Reference, recogniser: Recogniser) -> dict[str, dict[str, float]]:
-    """Behaviour and recognition of each content-style pair: where a mean over a split is lost."""
+def means(kept: dict[str, NDArray[np.float64]], rows: Sequence[int] | None = None) -> dict[str, float]:
+    """Share of clips that keep each label, of all or of some rows."""
+    some = {name: values if rows is None else values[rows] for name, values in kept.items()}
+    return {name: float(np.nanmean(values)) for name, values in some.items() if not np.isnan(values).all()}
+
+
+def by_pair(kept: dict[str, NDArray[np.float64]], reference: Reference) -> dict[str, dict[str, float]]:
+    """`means` of each content-style pair: where that of a split is lost."""
     rows: dict[str, list[int]] = {}
     for row, label in enumerate(reference.labels):
         rows.setdefault(label, []).append(row)
-    found = {}
-    for pair, own in sorted(rows.items()):
-        made, theirs = [motions[row] for row in own], [reference.clips[row] for row in own]
-        found[pair] = recognised(made, theirs, recogniser)
-        if theirs[0].content in PREDICATES:
-            found[pair]["behaviour"] = float(np.mean([PREDICATES[theirs[0].content](joints) for joints in made]))
-    return found
+    return {pair: means(kept, own) for pair, own in sorted(rows.items())}
 
 
 def has_twin(clips: Sequence[MotionClip], train: Sequence[MotionClip], frames: int = 32) -> list[bool]:

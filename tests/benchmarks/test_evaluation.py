@@ -13,7 +13,7 @@ from caption_claims import Claim, claims, hand_height, steps
 from evaluate import captured_scores, table
 from motions import SHARED, posed, t_pose, turn, walk
 from recogniser import Recogniser
-from scores import Judges, Reference, by_pair, has_twin, summarised
+from scores import Judges, Reference, by_pair, has_twin, kept_labels, means, summarised
 from takes import captions_of, folder_of, generated
 
 from kinegraph.motion.skeleton import bone_lengths
@@ -87,7 +87,9 @@ def test_each_pair_has_its_own_rates() -> None:
     judge = Recogniser(captured)
     # one of two walks stands still instead
     made = [captured[0].joints, captured[3].joints, captured[2].joints, captured[3].joints]
-    found = by_pair(made, Reference(captured, np.zeros((4, 1), np.float32)), judge)
+    kept = kept_labels(made, captured, judge)
+    found = by_pair(kept, Reference(captured, np.zeros((4, 1), np.float32)))
+    assert means(kept) == {"behaviour": 2 / 3, "content": 0.75, "style": 0.75}
     assert list(found) == ["run/old", "sit/calm", "walk/old"]
     assert found["walk/old"] == {"content": 0.5, "style": 0.5, "behaviour": 0.5}
     assert found["sit/calm"] == {"content": 1.0, "style": 1.0}
