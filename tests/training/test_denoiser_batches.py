@@ -180,13 +180,19 @@ def test_some_seed_drops_something(monkeypatch: pytest.MonkeyPatch) -> None:
     assert {bool(each[0]) for each in kept} == {True, False}
 
 
+def level_loss(module: DenoiserModule, level: str, nodes: torch.Tensor, batch: DenoiserBatch, timestep: torch.Tensor,
+               noise: torch.Tensor) -> torch.Tensor:  # fmt: skip
+    """Mean squared error of one level's prediction: (b,)."""
+    return (module.predicted_noise(level, nodes, batch, timestep, noise) - noise).square().mean(dim=(1, 2))
+
+
 def influence(module: DenoiserModule, level: str, batch: DenoiserBatch) -> tuple[torch.Tensor, torch.Tensor | None]:
     """Which nodes (b, n), and which rows' coarser latents (b,), the loss of one level depends on."""
     count = len(batch.frames)
     nodes = module.hierarchy.encode(batch.graph).detach().requires_grad_()
     coarse = {name: value.clone().requires_grad_() for name, value in batch.coarse.items()}
     noise = torch.randn(batch.latents[level].shape, generator=torch.Generator().manual_seed(1))
-    loss = module.level_loss(level, nodes, replace(batch, coarse=coarse), torch.full((count,), 20), noise)
+    loss = level_loss(module, level, nodes, replace(batch, coarse=coarse), torch.full((count,), 20), noise)
     loss.sum().backward()
     above = coarse[level].grad.abs().sum(dim=(1, 2)) > 0 if level in coarse else None
     return nodes.grad.abs().sum(dim=-1) > 0, above
@@ -224,8 +230,8 @@ def test_a_sample_does_not_know_its_neighbours(module: DenoiserModule, level: st
     both, alone = batches(augment=False)([0, 1]), batches(augment=False)([0])
     noise = torch.randn(2, *SHAPES[level], generator=torch.Generator().manual_seed(4))
     with torch.no_grad():
-        first = module.level_loss(level, module.hierarchy.encode(both.graph), both, torch.tensor([30, 5]), noise)
-        own = module.level_loss(level, module.hierarchy.encode(alone.graph), alone, torch.tensor([30]), noise[:1])
+        first = level_loss(module, level, module.hierarchy.encode(both.graph), both, torch.tensor([30, 5]), noise)
+        own = level_loss(module, level, module.hierarchy.encode(alone.graph), alone, torch.tensor([30]), noise[:1])
     torch.testing.assert_close(first[:1], own, atol=1e-6, rtol=0)
 
 
@@ -238,7 +244,7 @@ def test_the_loss_is_that_of_the_noise_in_a_noised_latent(
     step = module.hierarchy.levels["action"].step
     monkeypatch.setattr(step, "forward", lambda latent, *_: read.append(latent) or torch.zeros_like(latent))
     nodes = module.hierarchy.encode(batch.graph)
-    loss = module.level_loss("action", nodes, batch, torch.tensor([0, 49]), noise)
+    loss = level_loss(module, "action", nodes, batch, torch.tensor([0, 49]), noise)
     np.testing.assert_allclose(loss.detach(), noise.square().mean(dim=(1, 2)), rtol=1e-5)
     betas = np.linspace(np.sqrt(8.5e-4), np.sqrt(0.012), 50) ** 2
     alpha = np.cumprod(1 - betas)[[0, 49], None, None]

@@ -1,4 +1,7 @@
-"""What an autoencoder's reconstruction is held to. All masks are (b, l), 1 for real frames."""
+"""What an autoencoder's reconstruction is held to, and in part a denoised latent's clip (`swing`).
+
+All masks are (b, l), 1 for real frames.
+"""
 
 from __future__ import annotations
 
@@ -112,12 +115,21 @@ def reconstruction_terms(
     for window in (8, 16):
         path_p, path_t = window_path(raw_p, window), window_path(raw_t, window)
         terms[f"window_{window}"] = weights.windows * masked_mean((path_p - path_t).abs(), mask[:, : path_p.shape[1]])
+    for window, difference in spectral_difference(joints_p, joints_t, mask).items():
+        terms[f"spectra_{window}"] = weights.spectra * difference
+    return terms
+
+
+def spectral_difference(predicted: Tensor, target: Tensor, mask: Tensor) -> dict[int, Tensor]:
+    """How much stronger or weaker joints (b, l, 22, 3) swing than they should, in metres over all frequencies: by
+    window of `SPECTRA` that clips of l frames are long enough for."""
+    found = {}
     for window in SPECTRA:
         if predicted.shape[1] >= window:
             whole = mask.unfold(1, window, window // 2).amin(dim=-1)
-            difference = (spectrum(joints_p, window) - spectrum(joints_t, window)).abs().sum(dim=-1)
-            terms[f"spectra_{window}"] = weights.spectra * masked_mean(difference, whole)
-    return terms
+            difference = (spectrum(predicted, window) - spectrum(target, window)).abs().sum(dim=-1)
+            found[window] = masked_mean(difference, whole)
+    return found
 
 
 def path_loss(predicted: Tensor, target: Tensor, mask: Tensor, std: Tensor, mean: Tensor) -> Tensor:

@@ -19,7 +19,7 @@ import torch
 from torch import Tensor
 from torch.utils.data import DataLoader, WeightedRandomSampler
 
-from kinegraph.contract import NULL_KIND, PADDING_BIAS
+from kinegraph.contract import LEVELS, NULL_KIND, PADDING_BIAS
 from kinegraph.diffusion.schedule import NoiseSchedule
 from kinegraph.motion.skeleton import FloatArray
 from kinegraph.tables import BONE_LENGTHS, DURATION
@@ -34,12 +34,13 @@ from kinegraph_training.latents import Latents, cached_latents, encode_clips, re
 from kinegraph_training.models.denoiser import DenoiserConfig, LatentShape
 from kinegraph_training.models.hierarchy import Hierarchy
 from kinegraph_training.run_tables import common_bone_lengths, write_tables
+from kinegraph_training.swing import CLEAR, WEIGHT, Swing, denoised
 from kinegraph_training.train_vae import add_common_arguments, lightning_flags
 from kinegraph_training.training_run import last_checkpoint, optimiser, start_weights, trainer
 
 
 class DenoiserModule(L.LightningModule):
-    """Sum over levels of |eps - phi(z_t, t, graph, coarser latent)|^2."""
+    """Sum over levels of |eps - phi(z_t, t, graph, coarser latent)|^2, and of `Swing` at the last one."""
 
     def __init__(
         self,
@@ -47,8 +48,10 @@ class DenoiserModule(L.LightningModule):
         training: OptimiserConfig,
         latents: dict[str, LatentShape],
         statistics: dict[str, tuple[Tensor, Tensor]],
+        swing: Swing | None = None,
     ) -> None:
         super().__init__()
+        self.swing = swing
         shapes = {level: vars(shape) for level, shape in latents.items()}
         self.save_hyperparameters({"config": vars(config), "training": vars(training), "latents": shapes})
         self.hierarchy = Hierarchy(config, latents)
@@ -59,8 +62,10 @@ class DenoiserModule(L.LightningModule):
             self.register_buffer(f"{level}_centre", centre)
             self.register_buffer(f"{level}_scale", scale)
 
-    def level_loss(self, level: str, nodes: Tensor, batch: DenoiserBatch, timestep: Tensor, noise: Tensor) -> Tensor:
-        """Mean squared error of one level's noise prediction, per sample: (b,)."""
+    def predicted_noise(
+        self, level: str, nodes: Tensor, batch: DenoiserBatch, timestep: Tensor, noise: Tensor
+    ) -> Tensor:
+        """One level's prediction of `noise` (b, c, z) that is mixed into its latents at `timestep` (b,)."""
         kinds = self.hierarchy.config.kinds_seen(level)
         denoiser = self.hierarchy.levels[level]
         alpha = self.alphas[timestep][:, None, None]
@@ -75,11 +80,11 @@ class DenoiserModule(L.LightningModule):
             bias = torch.cat([bias, batch.coarse_bias[:, None].expand(-1, coarse.shape[1])], dim=1)
         context = denoiser.context(nodes, batch.graph.kind, batch.graph.order, coarse)
         clock = denoiser.clock(timestep, batch.frames)
-        predicted = denoiser.step(noisy, clock, context, bias[:, None, None, :])
-        return (predicted.float() - noise).square().mean(dim=(1, 2))
+        predicted: Tensor = denoiser.step(noisy, clock, context, bias[:, None, None, :]).float()
+        return predicted
 
     def losses(self, batch: DenoiserBatch, generator: torch.Generator | None = None) -> dict[str, Tensor]:
-        """Per level (b,), with timesteps stratified over the batch."""
+        """Per level (b,), with timesteps stratified over the batch; "swing" is the mean of what it is measured on."""
         nodes = self.hierarchy.encode(batch.graph)
         count = len(batch.frames)
         terms = {}
@@ -87,7 +92,14 @@ class DenoiserModule(L.LightningModule):
             place = (torch.randperm(count, generator=generator) + torch.rand(count, generator=generator)) / count
             timestep = (place * len(self.alphas)).long().clamp(max=len(self.alphas) - 1).to(self.device)
             noise = torch.randn(batch.latents[level].shape, generator=generator).to(self.device)
-            terms[level] = self.level_loss(level, nodes, batch, timestep, noise)
+            predicted = self.predicted_noise(level, nodes, batch, timestep, noise)
+            terms[level] = (predicted - noise).square().mean(dim=(1, 2))
+            clear = timestep < CLEAR * len(self.alphas)
+            if self.swing is not None and level == LEVELS[-1] and clear.any():
+                alpha = self.alphas[timestep[clear]][:, None, None]
+                true = batch.latents[level][clear]
+                made = denoised(true, noise[clear], predicted[clear], alpha)
+                terms["swing"] = WEIGHT * CLEAR * self.swing(made, true, batch.frames[clear])
         return terms
 
     def training_step(self, batch: DenoiserBatch, index: int) -> Tensor:
@@ -192,7 +204,11 @@ def main(argv: list[str] | None = None) -> None:
     shapes = {level: LatentShape(*own.centre.shape) for level, own in latents.items()}
     statistics = {level: (own.centre, own.scale) for level, own in latents.items()}
     config = preset.denoiser_training
-    module = DenoiserModule(preset.denoiser, config, shapes, statistics)
+    finest = latents[LEVELS[-1]]
+    decoder = read_vae(arguments.run / f"vae_{LEVELS[-1]}" / "last.ckpt")
+    decoder.vae.requires_grad_(False)
+    swing = Swing(decoder, finest.centre, finest.scale)
+    module = DenoiserModule(preset.denoiser, config, shapes, statistics, swing)
     if arguments.start_from:
         start_weights(module.hierarchy, arguments.start_from, "hierarchy.")
     run = arguments.run / "denoisers"
