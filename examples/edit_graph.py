@@ -18,7 +18,7 @@ def turn(clip: Clip) -> float:
 pipe = MotionPipeline.load()
 graph = pipe.parse("a tired person walks and turns to the right")
 print("parts:", [node.text for node in graph.nodes])
-for weight in (0.3, 0.6, 1.0):
+for weight in (0.5, 0.75, 1.0):
     clip = pipe.generate(with_weight(graph, "to the right", weight), seconds=4, seed=6)
     print(f"to the right at {weight:g}: turns by {turn(clip):.0f} degrees")
 

@@ -5,15 +5,15 @@ cd "$(dirname "$0")"
 kinegraph() { "${PYTHON:-../../.venv/bin/python}" -m kinegraph.cli "$@" --force; }
 
 kinegraph generate "an old person walks and turns left" --seconds 4 --seed 3 -o turn.png
-kinegraph generate "a person walks forward while waving the right hand" --seconds 4 --seed 4 -o together.gif
+kinegraph generate "a person walks forward while waving the right hand" --seconds 4 --seed 9 -o together.gif
 kinegraph sequence "a person walks forward" "a person bows" --seconds 3 --seed 2 -o sequence.png
-kinegraph parse "a tired person walks and turns to the right" --weight "to the right=0.3" --svg graph.svg
-kinegraph generate "a tired person walks and turns to the right" --seconds 4 --seed 6 --weight "to the right=0.3" -o graph_less.png
-kinegraph generate "a tired person walks and turns to the right" --seconds 4 --seed 6 -o graph_more.png
+kinegraph parse "a person walks and turns right" --weight "right=0.5" --svg graph.svg
+kinegraph generate "a person walks and turns right" --seconds 4 --seed 6 --weight "right=0.5" -o graph_less.png
+kinegraph generate "a person walks and turns right" --seconds 4 --seed 6 -o graph_more.png
 "${PYTHON:-../../.venv/bin/python}" pages.py
 kinegraph compose --and "a person walks forward" --and "a person raises both hands" --seconds 4 --seed 2 -o compose_walk.png
-kinegraph compose --and "a person walks and turns left" --and "a person waves both hands" --seconds 4 --seed 3 -o compose_turn.png
-kinegraph compose --and "a person walks and turns left while a person waves both hands" --not "a person waves both hands" --seconds 4 --seed 3 -o compose_not.png
+kinegraph compose --and "a person walks and turns left" --and "a person waves both hands" --seconds 4 --seed 6 -o compose_turn.png
+kinegraph compose --and "a person walks and turns left while a person waves both hands" --not "a person waves both hands" --seconds 4 --seed 6 -o compose_not.png
 # the map alone is kept: of the clip there is a GIF already
 kinegraph compose --and "a person walks forward" --and "a person waves the right hand" --seconds 4 --seed 4 -o composed.npz --energy energy.png
 rm composed.npz

@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from kinegraph.motion.clip import Clip
     from kinegraph.pipeline import MotionPipeline
 
-__version__ = "0.5.0"
+__version__ = "0.6.0"
 
 # From 1.32 on, importing onnxruntime writes a device number into the user's home and may send events to its maker. Not
 # from here: unless the host has said something else, or has imported onnxruntime already.
