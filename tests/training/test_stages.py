@@ -43,7 +43,7 @@ def test_curves_are_kept_as_a_table_and_a_picture(trained: Path) -> None:
         # what came before the stop is still there
         assert [int(row["step"]) for row in rows] == sorted(int(row["step"]) for row in rows)
         assert name != "denoisers" or {2, 5} <= {int(row["step"]) for row in rows}
-        assert name != "denoisers" or "train/swing" in rows[0]
+        assert name != "denoisers" or "val/swing" in rows[0]
         assert (curves / "curves.png").read_bytes()[:4] == b"\x89PNG"
 
 
