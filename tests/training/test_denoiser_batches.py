@@ -27,7 +27,7 @@ from kinegraph_training.denoiser_batches import (  # noqa: E402
 from kinegraph_training.latents import Latents  # noqa: E402
 from kinegraph_training.models.denoiser import DenoiserConfig, LatentShape  # noqa: E402
 from kinegraph_training.models.graph_encoder import GraphEncoder  # noqa: E402
-from kinegraph_training.train_denoisers import DenoiserModule  # noqa: E402
+from kinegraph_training.train_denoisers import DenoiserModule, squared_error  # noqa: E402
 
 WIDTH = 12
 SHAPES = {"motion": (2, 4), "action": (3, 4), "specific": (4, 4)}
@@ -183,7 +183,7 @@ def test_some_seed_drops_something(monkeypatch: pytest.MonkeyPatch) -> None:
 def level_loss(module: DenoiserModule, level: str, nodes: torch.Tensor, batch: DenoiserBatch, timestep: torch.Tensor,
                noise: torch.Tensor) -> torch.Tensor:  # fmt: skip
     """Mean squared error of one level's prediction: (b,)."""
-    return (module.predicted_noise(level, nodes, batch, timestep, noise) - noise).square().mean(dim=(1, 2))
+    return squared_error(module.predicted_noise(level, nodes, batch, timestep, noise), noise)
 
 
 def influence(module: DenoiserModule, level: str, batch: DenoiserBatch) -> tuple[torch.Tensor, torch.Tensor | None]:

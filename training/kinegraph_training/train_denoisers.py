@@ -39,6 +39,11 @@ from kinegraph_training.train_vae import add_common_arguments, lightning_flags
 from kinegraph_training.training_run import last_checkpoint, optimiser, start_weights, trainer
 
 
+def squared_error(predicted: Tensor, noise: Tensor) -> Tensor:
+    """|eps - eps'|^2 of (b, c, z), mean per sample: (b,)."""
+    return (predicted - noise).square().mean(dim=(1, 2))
+
+
 class DenoiserModule(L.LightningModule):
     """Sum over levels of |eps - phi(z_t, t, graph, coarser latent)|^2, and of `Swing` at the last one."""
 
@@ -93,7 +98,7 @@ class DenoiserModule(L.LightningModule):
             timestep = (place * len(self.alphas)).long().clamp(max=len(self.alphas) - 1).to(self.device)
             noise = torch.randn(batch.latents[level].shape, generator=generator).to(self.device)
             predicted = self.predicted_noise(level, nodes, batch, timestep, noise)
-            terms[level] = (predicted - noise).square().mean(dim=(1, 2))
+            terms[level] = squared_error(predicted, noise)
             clear = timestep < CLEAR * len(self.alphas)
             if self.swing is not None and level == LEVELS[-1] and clear.any():
                 alpha = self.alphas[timestep[clear]][:, None, None]
