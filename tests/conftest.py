@@ -8,9 +8,9 @@ from collections.abc import Callable, Iterator
 from typing import Final
 
 import pytest
-from playing import TEXT, Playing, playing
 
 from kinegraph import MotionPipeline
+from support.playing import TEXT, Playing, playing
 
 _FIGURE: Final = "figure"
 

@@ -12,8 +12,8 @@ from playwright.sync_api import Browser, sync_playwright
 
 from kinegraph import MotionPipeline
 from kinegraph.formats.html import page as page_of
-from kinegraph.play.app import Playground
-from kinegraph.play.server import Server, listen, warm_up
+from kinegraph.playground.app import Playground
+from kinegraph.playground.server import Server, listen, warm_up
 
 HERE = Path(__file__).parent
 FLAGS = ["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]

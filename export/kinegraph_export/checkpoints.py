@@ -7,7 +7,7 @@ from pathlib import Path
 
 import torch
 
-from kinegraph.contract import COARSE_DECODERS
+from kinegraph.bundle.contract import COARSE_DECODERS
 from kinegraph.errors import InvalidInputError
 from kinegraph_export.graphs import CoarseDecoder, Trained
 from kinegraph_export.onnx_export import round_weights

@@ -23,9 +23,9 @@ import onnxruntime
 import torch
 
 import kinegraph
-from kinegraph.diffusion.sampler import LevelPlan, initial_noise
-from kinegraph.errors import InvalidInputError, OutputError
-from kinegraph.manifest import (
+from kinegraph.arrays import FloatArray
+from kinegraph.bundle.manifest import (
+    FORMAT_VERSION,
     Defaults,
     FeatureSpec,
     FrameSpec,
@@ -37,22 +37,23 @@ from kinegraph.manifest import (
     describe_file,
     to_json,
 )
-from kinegraph.manifest_checks import FORMAT_VERSION
-from kinegraph.motion.bones import with_bone_lengths
-from kinegraph.motion.skeleton import JOINT_NAMES, PARENTS, FloatArray
-from kinegraph.onnx_ops import summarise
+from kinegraph.bundle.onnx_inspect import summarise
+from kinegraph.bundle.tables import bones_of
+from kinegraph.diffusion.sampling import LevelPlan, initial_noise
+from kinegraph.errors import InvalidInputError, OutputError
+from kinegraph.graph import ROLES
+from kinegraph.motion.postprocess import enforce_bone_lengths
+from kinegraph.motion.skeleton import JOINT_NAMES, PARENTS
 from kinegraph.pipeline import MotionPipeline
-from kinegraph.tables import bones_of
-from kinegraph.text.ranker import provenance_of
-from kinegraph.text.roles import ROLES
+from kinegraph.text.argument_classifier import provenance_of
 from kinegraph_export.checkpoints import read_run
 from kinegraph_export.graphs import KEPT_IN_FLOAT, STORED_INT8, Precision, Trained, export_graphs, level_specs
 from kinegraph_export.parity import ParityError
+from kinegraph_export.pinned_wheels import MINILM, SPACY_MODEL
 from kinegraph_export.pipeline_parity import Request, torch_joints
-from kinegraph_export.sources import MINILM, SPACY_MODEL
-from kinegraph_training.caption_graphs import read_assets
+from kinegraph_training.bundle_tables import read_tables
+from kinegraph_training.data.caption_cache import read_assets
 from kinegraph_training.latents import TrainedVae
-from kinegraph_training.run_tables import read_tables
 
 PROMPTS = (
     "a person walks forward", "someone runs", "a person raises the left hand", "a man waves with both hands",
@@ -64,7 +65,7 @@ PROMPTS = (
 )  # fmt: skip
 MAX_PIPELINE_MM: dict[Precision, float] = {"fp32": 1.0, "int8": 100.0}
 """Of the runtime to torch, and of a batch to single clips, same noise. In int8 it guards against a broken bundle;
-`benchmarks/precision.py` is the gate."""
+`kinegraph_benchmarks.quality.precision` is the gate."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -122,7 +123,7 @@ def manifest_of(
             "text_encoder": f"sentence-transformers/all-MiniLM-L6-v2 from {MINILM}",
             "parser": f"en_core_web_sm from {SPACY_MODEL}",
             "arguments": provenance_of(files["arguments.npz"]) if "arguments.npz" in files else "by rules alone",
-            "numbers": numbers(operators, precision),
+            "numbers": describe_precision(operators, precision),
             "built_with": f"kinegraph {kinegraph.__version__}, torch {torch.__version__}, "
             f"onnxruntime {onnxruntime.__version__}, Python {platform.python_version()}",
         },
@@ -145,7 +146,7 @@ def manifest_of(
     )
 
 
-def numbers(operators: dict[str, tuple[str, ...]], precision: Precision) -> str:
+def describe_precision(operators: dict[str, tuple[str, ...]], precision: Precision) -> str:
     """How weights are stored and computed with, for a person to read."""
 
     def present(graphs: tuple[str, ...]) -> str:
@@ -183,7 +184,7 @@ def pipeline_difference(folder: Path, trained: Trained, own: TrainedVae, bones: 
             clip.frames, initial_noise(seed, plans), sampling.steps, sampling.guidance, sampling.guidance_base
         )
         expected = torch_joints(trained, pipe._encoders.arrays(graph), request, own.mean, own.std)
-        expected = with_bone_lengths(expected, bones)
+        expected = enforce_bone_lengths(expected, bones)
         distances.append(np.linalg.norm(clip.joints - expected, axis=-1).mean() * 1000.0)
     return float(np.mean(distances))
 

@@ -17,7 +17,7 @@ import torch
 from torch import nn
 
 from kinegraph.errors import InvalidInputError
-from kinegraph_export.onnx_export import halved_weights, round_weights, serialised, to_onnx
+from kinegraph_export.onnx_export import round_weights, serialised, store_float16, to_onnx
 from kinegraph_export.parity import ParityError
 from kinegraph_training.models.evaluator import EvaluatorConfig, MotionEncoder, TextEncoder
 
@@ -53,7 +53,7 @@ def export_encoder(module: nn.Module, width: int, group: int) -> bytes:
     if group > 1:
         free[1] = group * torch.export.Dim("groups", min=1, max=512)  # type: ignore[assignment]
     example = (torch.zeros(2, 6 * group, width), torch.ones(2, 6 * group))
-    data = serialised(halved_weights(to_onnx(module, example, ["tokens", "mask"], ["embedding"], (free, free))))
+    data = serialised(store_float16(to_onnx(module, example, ["tokens", "mask"], ["embedding"], (free, free))))
     session = onnxruntime.InferenceSession(data, providers=["CPUExecutionProvider"])
     rng = np.random.default_rng(0)
     for _ in range(6):

@@ -14,7 +14,7 @@ import torch
 from torch import Tensor, nn
 from torch.onnx.ops import symbolic
 
-from kinegraph_training.models.denoiser import AdaptiveNorm, CrossAttention, Mixing
+from kinegraph_training.models.denoiser import AdaptiveNorm, CrossAttention, RowMixing
 from kinegraph_training.models.transformer import SelfAttention
 
 MICROSOFT = "com.microsoft"
@@ -50,7 +50,7 @@ class FusedCrossAttention(nn.Module):
         super().__init__()
         self.heads, self.query, self.out = trained.heads, trained.query, trained.out
 
-    def forward(self, x: Tensor, key: Tensor, value: Tensor, bias: Tensor, mixing: Mixing) -> Tensor:
+    def forward(self, x: Tensor, key: Tensor, value: Tensor, bias: Tensor, mixing: RowMixing) -> Tensor:
         """As `CrossAttention`."""
         tokens, width = x.shape[1:]
         rows = x.new_empty(key.shape[0], tokens, width)

@@ -12,7 +12,7 @@ import onnx
 import torch
 from torch import nn
 
-from kinegraph.contract import (
+from kinegraph.bundle.contract import (
     AGD_CONTEXTS,
     AGD_STEPS,
     COARSE_DECODERS,
@@ -26,19 +26,19 @@ from kinegraph.errors import InvalidInputError
 from kinegraph_export.fused import fused
 from kinegraph_export.modules import (
     AgdContextGraph,
-    AgdStepGraph,
-    ClockGraph,
+    AgdDenoiserGraph,
     CoarseDecoderGraph,
     ContextGraph,
     DecoderGraph,
+    DenoiserGraph,
+    ModulationGraph,
     MotionAgdContextGraph,
     MotionContextGraph,
-    StepGraph,
 )
-from kinegraph_export.onnx_export import halved_weights, int8_weights, serialised, stripped, to_onnx
+from kinegraph_export.onnx_export import int8_weights, serialised, store_float16, strip_metadata, to_onnx
 from kinegraph_export.parity import Draw, max_difference, module_arguments, relative_error
 from kinegraph_export.quantise import dynamic_int8, optimised
-from kinegraph_training.models.agd import AgdStepNetwork
+from kinegraph_training.models.agd import AgdNoisePredictor
 from kinegraph_training.models.hierarchy import Hierarchy
 from kinegraph_training.models.vae import MotionVae
 
@@ -110,10 +110,10 @@ def graph_modules(trained: Trained) -> dict[str, nn.Module]:
         denoiser = trained.hierarchy.levels[level]
         top = level == LEVELS[0]
         modules[f"context_{level}"] = (MotionContextGraph if top else ContextGraph)(denoiser.context)
-        modules[f"clock_{level}"] = ClockGraph(denoiser.clock)
-        modules[f"step_{level}"] = StepGraph(denoiser.step)
+        modules[f"clock_{level}"] = ModulationGraph(denoiser.clock)
+        modules[f"step_{level}"] = DenoiserGraph(denoiser.step)
         modules[AGD_CONTEXTS[level]] = (MotionAgdContextGraph if top else AgdContextGraph)(denoiser.context)
-        modules[AGD_STEPS[level]] = AgdStepGraph(AgdStepNetwork(denoiser))
+        modules[AGD_STEPS[level]] = AgdDenoiserGraph(AgdNoisePredictor(denoiser))
     modules["decoder"] = DecoderGraph(trained.vae, trained.centre, trained.scale)
     for level, own in trained.coarse.items():
         modules[COARSE_DECODERS[level]] = CoarseDecoderGraph(own.vae, own.centre, own.scale, own.gain, own.shift)
@@ -190,10 +190,10 @@ def export_graph(
     """
     draw = drawn_inputs(contract, frames_per_token)
     model = traced(module, contract, frames_per_token)
-    data = serialised(halved_weights(copy.deepcopy(model)))
+    data = serialised(store_float16(copy.deepcopy(model)))
     parity = {contract.name: max_difference(data, module, contract, draw)}
     if precision == "int8" and contract.name not in KEPT_IN_FLOAT:
-        data = serialised(halved_weights(stripped(_in_int8(model, contract.name))))
+        data = serialised(store_float16(strip_metadata(_in_int8(model, contract.name))))
         parity[f"int8_{contract.name}"] = relative_error(data, module, contract, draw)
     return data, parity
 

@@ -1,11 +1,11 @@
-"""Trained modules with the flat inputs and outputs of the contract (kinegraph.contract)."""
+"""Trained modules with the flat inputs and outputs of the contract (kinegraph.bundle.contract)."""
 
 from __future__ import annotations
 
 from torch import Tensor, nn
 
-from kinegraph_training.models.agd import AgdStepNetwork
-from kinegraph_training.models.denoiser import Clock, ContextEncoder, ContextTokens, Mixing, StepNetwork
+from kinegraph_training.models.agd import AgdNoisePredictor
+from kinegraph_training.models.denoiser import AdaLNModulation, ContextEncoder, ContextTokens, NoisePredictor, RowMixing
 from kinegraph_training.models.vae import MotionVae
 
 
@@ -42,10 +42,10 @@ class MotionAgdContextGraph(MotionContextGraph, AgdContextGraph):
     """context_motion_agd."""
 
 
-class ClockGraph(nn.Module):
+class ModulationGraph(nn.Module):
     """clock_{level}: diffusion steps (k,), frames (b,) -> modulation (k, b, m, d)."""
 
-    def __init__(self, clock: Clock) -> None:
+    def __init__(self, clock: AdaLNModulation) -> None:
         super().__init__()
         self.clock = clock
 
@@ -53,10 +53,10 @@ class ClockGraph(nn.Module):
         return self.clock(timestep[:, None], frames[None])
 
 
-class StepGraph(nn.Module):
+class DenoiserGraph(nn.Module):
     """step_{level}: latent, modulation, keys and values, src, combine, bias -> noise."""
 
-    def __init__(self, step: StepNetwork) -> None:
+    def __init__(self, step: NoisePredictor) -> None:
         super().__init__()
         self.step = step
 
@@ -64,13 +64,13 @@ class StepGraph(nn.Module):
         self, latent: Tensor, modulation: Tensor, context: list[Tensor], src: Tensor, combine: Tensor, bias: Tensor
     ) -> Tensor:
         pairs = list(zip(context[::2], context[1::2], strict=True))
-        return self.step(latent, modulation, pairs, bias, Mixing(src, combine))
+        return self.step(latent, modulation, pairs, bias, RowMixing(src, combine))
 
 
-class AgdStepGraph(nn.Module):
+class AgdDenoiserGraph(nn.Module):
     """step_{level}_agd: latent, modulation, context, gamma, src, combine, bias -> noise."""
 
-    def __init__(self, step: AgdStepNetwork) -> None:
+    def __init__(self, step: AgdNoisePredictor) -> None:
         super().__init__()
         self.step = step
 
@@ -84,7 +84,7 @@ class AgdStepGraph(nn.Module):
         combine: Tensor,
         bias: Tensor,
     ) -> Tensor:
-        return self.step(latent, modulation, context, gamma, bias, Mixing(src, combine))
+        return self.step(latent, modulation, context, gamma, bias, RowMixing(src, combine))
 
 
 class DecoderGraph(nn.Module):

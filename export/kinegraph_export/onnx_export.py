@@ -48,10 +48,10 @@ def to_onnx(
         )
     if program is None:
         raise RuntimeError("torch.onnx.export returned nothing")
-    return stripped(program.model_proto)
+    return strip_metadata(program.model_proto)
 
 
-def stripped(model: onnx.ModelProto) -> onnx.ModelProto:
+def strip_metadata(model: onnx.ModelProto) -> onnx.ModelProto:
     """Without documentation, metadata (stack traces hold local paths) and intermediate shapes."""
     del model.metadata_props[:]
     model.doc_string = ""
@@ -68,7 +68,7 @@ def stripped(model: onnx.ModelProto) -> onnx.ModelProto:
     return model
 
 
-def halved_weights(model: onnx.ModelProto) -> onnx.ModelProto:
+def store_float16(model: onnx.ModelProto) -> onnx.ModelProto:
     """Large float32 weights stored as float16 behind a Cast, which onnxruntime folds at load: computation stays
     float32 on rounded weights, the file takes half the space. Changes the model that it is given."""
     casts = []
@@ -88,7 +88,7 @@ def halved_weights(model: onnx.ModelProto) -> onnx.ModelProto:
 
 def int8_weights(model: onnx.ModelProto) -> onnx.ModelProto:
     """Large float32 matrices stored as int8 with a scale per column behind Cast and Mul, folded at load as in
-    `halved_weights`: a quarter of the space, float32 arithmetic. Changes the model that it is given."""
+    `store_float16`: a quarter of the space, float32 arithmetic. Changes the model that it is given."""
     nodes = []
     for tensor in model.graph.initializer:
         values = numpy_helper.to_array(tensor)
@@ -107,7 +107,7 @@ def int8_weights(model: onnx.ModelProto) -> onnx.ModelProto:
 
 @torch.no_grad()
 def round_weights(module: nn.Module) -> None:
-    """Give a module the weights its exported file will hold (see `halved_weights`)."""
+    """Give a module the weights its exported file will hold (see `store_float16`)."""
     for value in [*module.parameters(), *module.buffers()]:
         if value.is_floating_point() and value.numel() > HALVED_ABOVE:
             value.copy_(value.half().float())

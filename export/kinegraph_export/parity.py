@@ -9,14 +9,15 @@ import onnxruntime
 import torch
 from torch import Tensor, nn
 
-from kinegraph.contract import GraphContract, TensorSpec
+from kinegraph.bundle.contract import GraphContract, TensorSpec
 from kinegraph.errors import KinegraphError
 
 SHAPES = 6
 """Drawn per graph, besides the sample's own."""
 
 MAX_INT8_ERROR = 0.15
-"""Guards against a broken graph; whether int8 is good enough is told by whole clips (`benchmarks/precision.py`)."""
+"""Guards against a broken graph; whether int8 is good enough is told by whole clips
+(`kinegraph_benchmarks.quality.precision`)."""
 
 
 class ParityError(KinegraphError):

@@ -12,12 +12,12 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from kinegraph.conditions import GraphArrays
-from kinegraph.contract import NULL_KIND
+from kinegraph.arrays import FloatArray
+from kinegraph.bundle.contract import NULL_KIND
+from kinegraph.conditioning import GraphArrays
 from kinegraph.motion.features import joints_from_features
-from kinegraph.motion.skeleton import FloatArray
 from kinegraph_export.graphs import Trained
-from kinegraph_training.models.agd import AgdStepNetwork
+from kinegraph_training.models.agd import AgdNoisePredictor
 from kinegraph_training.models.denoiser import ContextTokens
 from kinegraph_training.models.hierarchy import GraphBatch
 from kinegraph_training.models.transformer import MASKED
@@ -33,7 +33,7 @@ class Request:
     steps: Mapping[str, int]
     guidance: Mapping[str, float]
     guidance_base: str
-    """As in `kinegraph.manifest.Defaults`."""
+    """As in `kinegraph.bundle.manifest.Defaults`."""
     agd: tuple[float, float] | None = None
     """Step sizes gamma_attn and gamma_reg (EnergyMoGen, Eq. 3, 4) for the text."""
 
@@ -74,7 +74,7 @@ def level_latent(
             full = torch.cat([bias, hidden], dim=1)[:, None, None, :]
             if name == "text" and request.agd is not None:
                 gamma = torch.tensor([request.agd])
-                noise[name] = AgdStepNetwork(denoiser)(latent, clock, tokens, gamma, full)
+                noise[name] = AgdNoisePredictor(denoiser)(latent, clock, tokens, gamma, full)
             else:
                 noise[name] = denoiser.step(latent, clock, context, full)
         guided = noise["null"] + request.guidance[level] * (noise["text"] - noise["null"])

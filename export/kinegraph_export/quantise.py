@@ -11,7 +11,7 @@ import onnx
 import onnxruntime
 from onnxruntime.quantization import QuantType, quantize_dynamic
 
-from kinegraph.sessions import DISABLED_OPTIMIZERS
+from kinegraph.bundle.sessions import DISABLED_OPTIMIZERS
 
 MATRIX_PRODUCTS = ("MatMul", "Attention")
 

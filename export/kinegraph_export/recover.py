@@ -24,17 +24,16 @@ import torch
 from onnx import numpy_helper
 from torch import nn
 
-from kinegraph.bundle import Bundle, read_bundle
-from kinegraph.contract import COARSE_DECODERS, LEVELS, OPTIONAL_GRAPHS, GraphContract, contracts
+from kinegraph.bundle.contract import COARSE_DECODERS, LEVELS, OPTIONAL_GRAPHS, GraphContract, contracts
+from kinegraph.bundle.reader import Bundle, read_bundle
 from kinegraph.errors import InvalidInputError
 from kinegraph_export.graphs import Trained, graph_modules, traced
+from kinegraph_training.bundle_tables import write_tables
 from kinegraph_training.config import Preset, read_preset
-from kinegraph_training.dataset import training_set
+from kinegraph_training.dataset import limit_length, training_set
 from kinegraph_training.latents import encode_clips, read_vae, standardised
 from kinegraph_training.models.denoiser import DenoiserConfig, LatentShape
 from kinegraph_training.models.hierarchy import Hierarchy
-from kinegraph_training.run_tables import write_tables
-from kinegraph_training.train_denoisers import within
 
 FloatArrays = dict[str, np.ndarray]
 
@@ -42,7 +41,7 @@ QUANTISED = "_quantized"
 """How onnxruntime's quantiser names the int8 weights of a tensor; their scale is `{name}_scale`."""
 
 
-def numbers(model: onnx.ModelProto) -> FloatArrays:
+def dequantised_weights(model: onnx.ModelProto) -> FloatArrays:
     """Floating-point weights as float32: those stored as float16 under the name they are widened to, those in int8
     multiplied by their scale."""
     arrays = {tensor.name.removesuffix(".half"): numpy_helper.to_array(tensor) for tensor in model.graph.initializer}
@@ -89,7 +88,7 @@ def recovered(module: nn.Module, contract: GraphContract, frames_per_token: int,
         for weight in weights.values():
             weight.copy_(torch.randn(weight.shape, generator=generator))
     model = traced(module, contract, frames_per_token)
-    own, stored = numbers(model), numbers(onnx.load_model_from_string(data))
+    own, stored = dequantised_weights(model), dequantised_weights(onnx.load_model_from_string(data))
     if {name: value.shape for name, value in own.items()} != {name: value.shape for name, value in stored.items()}:
         raise InvalidInputError(
             f"{contract.file} is not what this preset and these versions of torch and onnx export; "
@@ -118,7 +117,7 @@ def hierarchy_of(bundle: Bundle, config: DenoiserConfig, vaes: Path) -> tuple[Hi
         file = declared[graph].file
         if file in manifest.files:
             data = bundle.files[file] if level == LEVELS[-1] else bundle.optional(file)
-            decoder = numbers(onnx.load_model_from_string(data))
+            decoder = dequantised_weights(onnx.load_model_from_string(data))
             statistics |= {f"{level}_{name}": decoder[name] for name in ("centre", "scale")}
     unit = torch.ones(shapes[LEVELS[-1]].tokens, shapes[LEVELS[-1]].width)
     for name, module in graph_modules(Trained(hierarchy, own.vae, unit, unit)).items():
@@ -130,7 +129,7 @@ def hierarchy_of(bundle: Bundle, config: DenoiserConfig, vaes: Path) -> tuple[Hi
 
 def coarse_statistics(vaes: Path, data: Path, held_out: Path | None, preset: Preset) -> FloatArrays:
     """Standardisation of the coarser levels' latents, measured on the clips that the bundle was trained on."""
-    train = within(training_set(data, preset.data, held_out), preset.data.max_frames)
+    train = limit_length(training_set(data, preset.data, held_out), preset.data.max_frames)
     found = {}
     for level in COARSE_DECODERS:
         own = standardised(*encode_clips(read_vae(vaes / f"vae_{level}.ckpt"), train))

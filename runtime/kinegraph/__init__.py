@@ -14,8 +14,9 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Final
 
 if TYPE_CHECKING:
+    from kinegraph.clip import Clip
     from kinegraph.concepts import Concept
-    from kinegraph.diffusion.sampler import StepInfo
+    from kinegraph.diffusion.sampling import StepInfo
     from kinegraph.errors import (
         BundleError,
         BundleFormatError,
@@ -29,7 +30,6 @@ if TYPE_CHECKING:
         OutputError,
     )
     from kinegraph.graph import SemanticGraph
-    from kinegraph.motion.clip import Clip
     from kinegraph.pipeline import MotionPipeline
 
 __version__ = "0.6.0"
@@ -44,7 +44,7 @@ _HOMES: Final[dict[str, str]] = {
     "BundleFormatError": "kinegraph.errors",
     "BundleIntegrityError": "kinegraph.errors",
     "Cancelled": "kinegraph.errors",
-    "Clip": "kinegraph.motion.clip",
+    "Clip": "kinegraph.clip",
     "Concept": "kinegraph.concepts",
     "InvalidGraphError": "kinegraph.errors",
     "InvalidInputError": "kinegraph.errors",
@@ -54,7 +54,7 @@ _HOMES: Final[dict[str, str]] = {
     "NonFiniteError": "kinegraph.errors",
     "OutputError": "kinegraph.errors",
     "SemanticGraph": "kinegraph.graph",
-    "StepInfo": "kinegraph.diffusion.sampler",
+    "StepInfo": "kinegraph.diffusion.sampling",
 }
 
 __all__ = [

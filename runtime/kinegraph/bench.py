@@ -22,12 +22,12 @@ import numpy as np
 import onnxruntime
 
 from kinegraph import __version__
-from kinegraph.contract import LEVELS
-from kinegraph.diffusion.sampler import StepInfo
+from kinegraph.bundle.contract import LEVELS
+from kinegraph.bundle.sessions import available_cpus
+from kinegraph.diffusion.sampling import StepInfo
 from kinegraph.errors import KinegraphError, MissingExtraError
 from kinegraph.graph import Action, Argument, SemanticGraph
 from kinegraph.pipeline import MotionPipeline
-from kinegraph.sessions import available_cpus
 
 STAGES: Final = ("parse", "tokens", "text", "graph", *LEVELS, "decode", "joints", "write")
 WARM_UP: Final = 3

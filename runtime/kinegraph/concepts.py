@@ -9,7 +9,8 @@ from itertools import chain
 from numbers import Real
 from typing import Any, Final
 
-from kinegraph.diffusion.composition import Mixture
+from kinegraph.diffusion.composition import CompositionWeights
+from kinegraph.edits import with_weight, without
 from kinegraph.errors import InvalidInputError
 from kinegraph.graph import SemanticGraph
 from kinegraph.limits import MAX_CONCEPTS
@@ -19,15 +20,15 @@ METHODS: Final = ("latent", "semantic", "fused")
 DEFAULT_LAMBDAS: Final = (0.0, 0.1, 0.9)
 """Latent-aware, semantic-aware, joint text. EnergyMoGen (section 4.1) has 0.1, 0.7, 0.2; on 12 pairs that training
 never joined both actions happen in 98 % of 120 clips with these, in 54 % with those, in 98 % by the joint text alone
-(`benchmarks/composition_settings.py`).
+(`kinegraph_benchmarks.quality.composition_settings`).
 """
-NEGATED: Final = -1.0
+NEGATION_WEIGHT: Final = -1.0
 """Default weight of what must not happen: where a sentence names two actions it takes .92 of the clips of one and
 .08 of the other's; -0.5 takes .15. It also takes what the unwanted has in common with the wanted: "not runs" leaves
-.20 of the walks, and at -0.3 .95 (`benchmarks/composition_settings.py`)."""
+.20 of the walks, and at -0.3 .95 (`kinegraph_benchmarks.quality.composition_settings`)."""
 MAX_STEP_SIZE: Final = 1.0
 """Of adaptive gradient descent. At 0.1 EnergyMoGen's motions are spoilt (Table 9) and the default bundle's are nearest
-to captured ones (`benchmarks/composition_settings.py`)."""
+to captured ones (`kinegraph_benchmarks.quality.composition_settings`)."""
 MAX_WEIGHT: Final = 10.0
 MIN_SUM: Final = 0.05
 MAX_RATIO: Final = 5.0
@@ -65,7 +66,7 @@ class Concept:
         return self.text.caption if isinstance(self.text, SemanticGraph) else self.text
 
 
-def checked_concepts(concepts: object) -> tuple[Concept, ...]:
+def validate_concepts(concepts: object) -> tuple[Concept, ...]:
     """A list of concepts; plain sentences and graphs count with weight 1.
 
     Raises:
@@ -82,7 +83,7 @@ def checked_concepts(concepts: object) -> tuple[Concept, ...]:
 
 
 @dataclass(frozen=True)
-class Composing:
+class CompositionSpec:
     """What one call composes."""
 
     concepts: tuple[Concept, ...]
@@ -97,39 +98,39 @@ class Composing:
 
     @property
     def parts(self) -> list[tuple[str | SemanticGraph, float]]:
-        """Sentences or graphs with their weights, in the order of a `Mixture`."""
+        """Sentences or graphs with their weights, in the order of a `CompositionWeights`."""
         joint = [(self.joint, 1.0)] if self.lambdas[2] else []
         around = ([(concept.text, concept.weight) for concept in group] for group in (self.concepts, self.negated))
         return [*next(around), *joint, *next(around)]
 
-    def mixture(self, shares: Sequence[Sequence[float]]) -> Mixture:
-        """Weights of the graphs that stand for each part (`edits.edge_terms`), given their shares of it."""
+    def mixture(self, shares: Sequence[Sequence[float]]) -> CompositionWeights:
+        """Weights of the graphs that stand for each part (`edits.weighted_edge_terms`), given their shares of it."""
         weights = [tuple(weight * share for share in own) for (_, weight), own in zip(self.parts, shares, strict=True)]
         first, last = len(self.concepts), len(weights) - len(self.negated)
         slices = (slice(first), slice(first, last), slice(last, None))
         concepts, joint, negated = (tuple(chain.from_iterable(weights[part])) for part in slices)
-        return Mixture(concepts, joint, negated, self.lambdas, self.agd)
+        return CompositionWeights(concepts, joint, negated, self.lambdas, self.agd)
 
 
-def checked_composing(concepts: object, method: object, text: Any, lambdas: object, agd: object) -> Composing:
+def validate_composition(concepts: object, method: object, text: Any, lambdas: object, agd: object) -> CompositionSpec:
     """All that says what is composed.
 
     A negated concept counts by Eq. 8, with its own weight whatever the lambdas; only "semantic" alone negates inside
     the mean of Eq. 9.
 
     Raises:
-        InvalidInputError: see `checked_concepts`; an unknown method, a joint text or shares for another method than
+        InvalidInputError: see `validate_concepts`; an unknown method, a joint text or shares for another method than
             "fused", shares that are no three numbers from 0 to 1 with sum 1, weights that Eq. 9 cannot divide by, or
             step sizes that are no two numbers from 0 to 1.
     """
-    found = checked_concepts(concepts)
+    found = validate_concepts(concepts)
     wanted = found if method == "semantic" else tuple(concept for concept in found if concept.weight > 0)
     negated = () if method == "semantic" else tuple(concept for concept in found if concept.weight < 0)
-    shares = checked_lambdas(method, lambdas, text, wanted)
+    shares = validate_lambdas(method, lambdas, text, wanted)
     joint = joint_caption(found) if text is None else text
     if not isinstance(joint, SemanticGraph):
         check_caption(joint)
-    return Composing(wanted, negated, joint, shares, _step_sizes(agd))
+    return CompositionSpec(wanted, negated, joint, shares, _step_sizes(agd))
 
 
 def _step_sizes(agd: object) -> tuple[float, float]:
@@ -145,10 +146,10 @@ def _step_sizes(agd: object) -> tuple[float, float]:
     return attention, regularisation
 
 
-def checked_lambdas(
+def validate_lambdas(
     method: object, lambdas: object, text: object, concepts: Sequence[Concept]
 ) -> tuple[float, float, float]:
-    """Shares of the latent-aware, semantic-aware and joint-text terms; raises as `checked_composing`."""
+    """Shares of the latent-aware, semantic-aware and joint-text terms; raises as `validate_composition`."""
     if method not in METHODS:
         raise InvalidInputError(f"method must be one of {', '.join(METHODS)}, not {method!r}")
     for name, value in (("lambdas", lambdas), ("text", text)):
@@ -192,3 +193,36 @@ def joint_caption(concepts: Sequence[Concept]) -> str | SemanticGraph:
     if len(captions) == 1:
         return positive[0].text
     return " while ".join(captions)
+
+
+UPWEIGHT_GAIN: Final = 0.4
+"""What a weight counts beyond 1: at twice a node's own prediction and more, motions leave what a model knows, and a
+turn or a speed falls again (`kinegraph_benchmarks.quality.edit_curves`)."""
+
+
+def weighted_edge_terms(graph: SemanticGraph) -> list[tuple[SemanticGraph, float]]:
+    """Graphs whose edges all weigh 1, with the coefficients by which their predictions make up that of `graph`.
+
+    Each weight w_e scales what the model predicts because of that node, at every step of every level:
+
+        eps(G, w) = eps(G') + sum_e (c(w_e) - 1) (eps(G') - eps(G' without e))
+
+    G' is G without the nodes of weight 0; c(w) = w up to 1, and 1 + (w - 1) STRENGTHENING beyond. This is EnergyMoGen's
+    latent-aware composition (Eq. 7, 8) of a graph and the same graph without a node. Coefficients sum to 1, but for a
+    weight on the only action: nothing is left without it, so it counts against no text at all.
+
+    Raises:
+        InvalidGraphError: every action has weight 0.
+    """
+    while (absent := next((n for n, node in enumerate(graph.nodes, start=1) if node.weight == 0), None)) is not None:
+        graph = without(graph, absent)
+    plain = graph
+    turned = {number: node.weight - 1.0 for number, node in enumerate(graph.nodes, start=1) if node.weight != 1}
+    turned = {number: more * (UPWEIGHT_GAIN if more > 0 else 1.0) for number, more in turned.items()}
+    for number in turned:
+        plain = with_weight(plain, number, 1.0)
+    terms = [(plain, 1.0 + sum(turned.values()))]
+    for number, more in turned.items():
+        if not number == 1 == len(plain.actions):
+            terms.append((without(plain, number), -more))
+    return terms

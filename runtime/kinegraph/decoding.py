@@ -8,20 +8,16 @@ from typing import Final
 
 import numpy as np
 import onnxruntime
-from numpy.typing import NDArray
 
-from kinegraph.contract import LEVELS
-from kinegraph.errors import NonFiniteError
-from kinegraph.manifest import Manifest
-from kinegraph.motion.bones import with_bone_lengths
-from kinegraph.motion.clip import Clip
+from kinegraph.arrays import FloatArray, require_finite
+from kinegraph.bundle.contract import LEVELS
+from kinegraph.bundle.manifest import Manifest
+from kinegraph.bundle.sessions import Sessions
+from kinegraph.clip import Clip
 from kinegraph.motion.features import joints_from_features
-from kinegraph.motion.feet import planted_feet
 from kinegraph.motion.humanml3d import joints_from_humanml3d
+from kinegraph.motion.postprocess import enforce_bone_lengths, lock_feet
 from kinegraph.options import GenerateOptions
-from kinegraph.sessions import Sessions
-
-FloatArray = NDArray[np.float32]
 
 _TO_JOINTS: Final = {"joints-137": joints_from_features, "humanml3d-263": joints_from_humanml3d}
 
@@ -43,7 +39,7 @@ class Decoders:
         motions = decode(self.sessions.decoder_of(level), self.manifest, self.bones, latent, frames)
         bundle = f"{self.manifest.name} {self.manifest.version}"
         return [
-            Clip(planted_feet(joints, fps) if each.foot_fix else joints, fps, each.seed, caption, bundle)
+            Clip(lock_feet(joints, fps) if each.foot_fix else joints, fps, each.seed, caption, bundle)
             for joints, each, caption in zip(motions, wishes, captions, strict=True)
         ]
 
@@ -74,14 +70,7 @@ def decode(
         frame_mask[row, :count] = 1.0
     (features,) = decoder.run(["features"], {"latent": latent, "frame_mask": frame_mask})
     mean, std = (np.array(part, dtype=np.float32) for part in (manifest.features.mean, manifest.features.std))
-    raw = finite(features, "the decoder") * std + mean
+    raw = require_finite(features, "the decoder") * std + mean
     to_joints = _TO_JOINTS[manifest.features.layout]
     motions = [to_joints(rows[:count]) for rows, count in zip(raw, frames, strict=True)]
-    return [with_bone_lengths(joints, bones) for joints in motions]
-
-
-def finite(values: FloatArray, stage: str) -> FloatArray:
-    """The values, if all of them are numbers."""
-    if not np.isfinite(values).all():
-        raise NonFiniteError(f"{stage} produced NaN or infinity; the bundle's weights are broken")
-    return values
+    return [enforce_bone_lengths(joints, bones) for joints in motions]

@@ -10,24 +10,25 @@
 
 A node is named by its text, or by its number in the order of the model: actions from 1, then all specifics. Every edit
 raises `InvalidGraphError` for a node that is not there (the message lists those that are) or a graph that cannot be.
-"""
+
+Taking words out of a sentence so that what is left reads on."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import re
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Final
 
+import numpy as np
+from numpy.typing import NDArray
+
 from kinegraph.errors import InvalidGraphError
 from kinegraph.graph import Action, Argument, SemanticGraph
-from kinegraph.text.removal import without_words
 
 MASK: Final = "[MASK]"
 """The word piece of the text encoder that stands for an unknown word (`manifest.text.mask_token`)."""
 
-STRENGTHENING: Final = 0.4
-"""What a weight counts beyond 1: at twice a node's own prediction and more, motions leave what a model knows, and a
-turn or a speed falls again (`benchmarks/edit_curves.py`)."""
 
 Node = int | str
 Change = Callable[[Action | Argument], Action | Argument | None]
@@ -76,34 +77,6 @@ def without(graph: SemanticGraph, node: Node) -> SemanticGraph:
     joined = one.start if isinstance(one, Action) else None
     caption, place = without_words(graph.caption, [_span(each) for each in gone], [*map(_span, left.nodes)], joined)
     return _moved(left, caption, lambda node: (place[node.start], place[node.end - 1] + 1))
-
-
-def edge_terms(graph: SemanticGraph) -> list[tuple[SemanticGraph, float]]:
-    """Graphs whose edges all weigh 1, with the coefficients by which their predictions make up that of `graph`.
-
-    Each weight w_e scales what the model predicts because of that node, at every step of every level:
-
-        eps(G, w) = eps(G') + sum_e (c(w_e) - 1) (eps(G') - eps(G' without e))
-
-    G' is G without the nodes of weight 0; c(w) = w up to 1, and 1 + (w - 1) STRENGTHENING beyond. This is EnergyMoGen's
-    latent-aware composition (Eq. 7, 8) of a graph and the same graph without a node. Coefficients sum to 1, but for a
-    weight on the only action: nothing is left without it, so it counts against no text at all.
-
-    Raises:
-        InvalidGraphError: every action has weight 0.
-    """
-    while (absent := next((n for n, node in enumerate(graph.nodes, start=1) if node.weight == 0), None)) is not None:
-        graph = without(graph, absent)
-    plain = graph
-    turned = {number: node.weight - 1.0 for number, node in enumerate(graph.nodes, start=1) if node.weight != 1}
-    turned = {number: more * (STRENGTHENING if more > 0 else 1.0) for number, more in turned.items()}
-    for number in turned:
-        plain = with_weight(plain, number, 1.0)
-    terms = [(plain, 1.0 + sum(turned.values()))]
-    for number, more in turned.items():
-        if not number == 1 == len(plain.actions):
-            terms.append((without(plain, number), -more))
-    return terms
 
 
 def replaced(graph: SemanticGraph, node: Node, text: str) -> SemanticGraph:
@@ -210,3 +183,61 @@ def _span(node: Action | Argument) -> tuple[int, int]:
 def _appended(graph: SemanticGraph, place: int, text: str, skip: int) -> tuple[SemanticGraph, int, int]:
     """The graph with text inserted, and where that text, without its first `skip` characters, lies."""
     return _rewritten(graph, place, place, text), place + skip, place + len(text)
+
+
+_CONNECTIVE: Final = r"(?:[\s,;]|\b(?:and|but|then|while|before|after)\b)+"
+_BEFORE: Final = re.compile(_CONNECTIVE + r"\Z", re.IGNORECASE)
+_BEHIND: Final = re.compile(_CONNECTIVE, re.IGNORECASE)
+
+Span = tuple[int, int]
+"""First character and one past the last."""
+
+
+def without_words(
+    caption: str, gone: Sequence[Span], kept: Sequence[Span], joined: int | None
+) -> tuple[str, list[int]]:
+    """The sentence without some of its words, and where the characters that are left have come to stand.
+
+    Args:
+        caption: the sentence.
+        gone: what to take out, but for characters of `kept`.
+        kept: what stays as it is.
+        joined: where a verb stands that goes: the "and" before it goes, too, or for a first verb the one behind.
+    """
+    left = np.ones(len(caption), dtype=bool)
+    for start, end in gone:
+        left[start:end] = False
+    if joined is not None:
+        cut = _connective(caption, joined, max(end for start, end in gone if start >= joined))
+        left[cut] = False
+    whole = np.zeros(len(caption), dtype=bool)
+    for start, end in kept:
+        whole[start:end] = True
+    left |= whole
+    _close(caption, left, whole)
+    words = "".join(character for character, stays in zip(caption, left, strict=True) if stays)
+    places: list[int] = (np.cumsum(left) - 1).tolist()
+    return words.rstrip(), places
+
+
+def _close(caption: str, left: NDArray[np.bool_], whole: NDArray[np.bool_]) -> None:
+    """Close gaps to one space, and leave no comma alone and no space before a full stop; `whole` stays as it is."""
+    last, gap, before = " ", None, 0
+    for place, character in enumerate(caption):
+        if not left[place]:
+            gap = place if character == " " else gap
+        elif last == " " and character in " ,;" and not whole[place]:
+            left[place] = False
+        else:
+            if gap is not None and last != " " and character not in " ,;.":
+                left[gap] = True
+            if last == " " and character == "." and not whole[before]:
+                left[before] = False
+            last, gap, before = character, None, place
+
+
+def _connective(caption: str, start: int, end: int) -> slice:
+    before, behind = _BEFORE.search(caption, 0, start), _BEHIND.match(caption, end)
+    if before and before.group().strip():
+        return slice(*before.span())
+    return slice(*behind.span()) if behind and behind.group().strip() else slice(0, 0)

@@ -3,30 +3,33 @@ one text that names all, on one plane of latents."""
 
 from __future__ import annotations
 
-import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
-from kinegraph.concepts import Concept, checked_composing
-from kinegraph.conditions import Conditions
-from kinegraph.contract import LEVELS
-from kinegraph.denoisers import Denoisers
-from kinegraph.diffusion.composition import Mixture
-from kinegraph.diffusion.ddim import DdimCoefficients, ddim_coefficients
-from kinegraph.diffusion.energy import SAME, noise_field, plane_through, potential
-from kinegraph.diffusion.sampler import OnStep, Predict, StepInfo, coarse_to_fine, initial_noise, sample_level
+from kinegraph.arrays import DoubleArray, FloatArray
+from kinegraph.bundle.contract import LEVELS
+from kinegraph.concepts import Concept, validate_composition
+from kinegraph.conditioning import Conditions
+from kinegraph.denoising import Denoisers
+from kinegraph.diffusion.composition import CompositionWeights
+from kinegraph.diffusion.energy import SAME, EnergyMap, EnergyMaps, noise_field, plane_through, potential
+from kinegraph.diffusion.sampling import (
+    DdimCoefficients,
+    OnStep,
+    Predict,
+    StepInfo,
+    ddim_coefficients,
+    initial_noise,
+    sample_hierarchy,
+    sample_level,
+)
 from kinegraph.errors import Cancelled
-from kinegraph.formats.atomic import check_target, write_atomically
 from kinegraph.graph import SemanticGraph
-from kinegraph.options import GenerateOptions, Guidance, Steps, generate_options
+from kinegraph.options import GenerateOptions, Guidance, Steps, resolve_options
 from kinegraph.pipeline import MotionPipeline
-
-FloatArray = NDArray[np.float32]
-Floats = NDArray[np.float64]
 
 GRID: Final = 21
 """Places along each side of a map: GRID^2 runs of the finest step graph per map."""
@@ -35,53 +38,6 @@ SIGNAL: Final = 0.9
 look at all motions at once, and their lowest places lie outside the map."""
 MARGIN: Final = 1.6
 """Side of the map in terms of the samples it shows."""
-
-
-@dataclass(frozen=True)
-class EnergyMap:
-    """Of one way to predict the noise."""
-
-    label: str
-    energy: Floats
-    """(GRID, GRID), least value 0; [i, j] is at `second[i]`, `first[j]`."""
-    sample: Floats
-    """(2,) where its own sample ends on the plane, from the same noise and the same coarser latents."""
-    off_plane: float
-    """How far beside the plane that is, in the unit of the axes."""
-    rest: float
-    """Share of the predicted noise on the plane that is no gradient (`diffusion.energy.potential`)."""
-
-
-@dataclass(frozen=True)
-class EnergyMaps:
-    """Maps of one composition on one plane through the specific latents.
-
-    The plane goes through the samples of the first two concepts and of the composition. Its place (0, 0) is the
-    composition's; the first axis leads from the first concept's sample to the second's, the other one across. The unit
-    is one standard deviation of the latent. A place z has the energy, under the guided prediction, of sqrt(alpha_bar)
-    z: what z is on average at that timestep.
-    """
-
-    maps: tuple[EnergyMap, ...]
-    """Each concept, the composition, the joint text."""
-    first: Floats
-    """(GRID,) places along the first axis."""
-    second: Floats
-    """(GRID,)."""
-    timestep: int
-    """Of the schedule's table."""
-
-    def save(self, path: str | os.PathLike[str], *, force: bool = False) -> None:
-        """Write a `.png`.
-
-        Raises:
-            OutputError: it cannot be written there; see `formats.atomic.check_target`.
-            MissingExtraError: matplotlib is not installed (`pip install "kinegraph[plot]"`).
-        """
-        check_target(path, force, (".png",))
-        from kinegraph.formats.energy_png import encode  # matplotlib is an extra
-
-        write_atomically(path, encode(self), force=force)
 
 
 @dataclass
@@ -127,14 +83,14 @@ def energy_maps(
         Cancelled: `on_step` returned False.
         NonFiniteError: a model produced NaN or infinity.
     """
-    what = checked_composing(concepts, method, text, lambdas, agd)
-    options = generate_options(pipe.manifest, seconds=seconds, seed=seed, steps=steps, guidance=guidance)
+    what = validate_composition(concepts, method, text, lambdas, agd)
+    options = resolve_options(pipe.manifest, seconds=seconds, seed=seed, steps=steps, guidance=guidance)
     encoded, mixture, options = pipe._mixed(what, options, seconds is None)
     found = (*what.concepts, *what.negated)
     labels = [concept.caption + ("" if concept.weight == 1 else f", weight {concept.weight:g}") for concept in found]
     joint = Concept(what.joint)
     labels += [f"composed: {method}", f"one text: {joint.caption}"]
-    by_themselves = [checked_composing([each.text], "latent", None, None, None) for each in (*found, joint)]
+    by_themselves = [validate_composition([each.text], "latent", None, None, None) for each in (*found, joint)]
     *alone, named = [pipe._mixed(each, options, False)[:2] for each in by_themselves]
     denoisers = Denoisers(pipe._sessions, pipe.manifest)
     return maps_of(denoisers, labels, [*alone, (encoded, mixture), named], options, on_step)
@@ -143,7 +99,7 @@ def energy_maps(
 def maps_of(
     denoisers: Denoisers,
     labels: Sequence[str],
-    mixtures: Sequence[tuple[Conditions, Mixture]],
+    mixtures: Sequence[tuple[Conditions, CompositionWeights]],
     options: GenerateOptions,
     on_step: OnStep | None,
 ) -> EnergyMaps:
@@ -155,7 +111,7 @@ def maps_of(
     def composed(number: int, times: DdimCoefficients, coarse: FloatArray | None) -> Predict:
         return denoisers.predictor_of(LEVELS[number], *mixtures[-2], coarse, options, times)
 
-    coarse = coarse_to_fine(plans, noises, composed, schedule, on_step)[-2]
+    coarse = sample_hierarchy(plans, noises, composed, schedule, on_step)[-2]
     times = ddim_coefficients(schedule, options.steps[level])
     predictors = [denoisers.predictor_of(level, *each, coarse, options, times) for each in mixtures]
     ends = [sample_level(noises[-1], each, times, lambda _: None)[0].astype(np.float64) for each in predictors]
@@ -173,7 +129,7 @@ def maps_of(
     return EnergyMaps(tuple(maps), *places, rows.timestep)
 
 
-def axes_around(samples: Floats) -> tuple[Floats, Floats]:
+def axes_around(samples: DoubleArray) -> tuple[DoubleArray, DoubleArray]:
     """Places (GRID,) along both axes of a square around samples (n, 2)."""
     low, high = samples.min(axis=0), samples.max(axis=0)
     side = float((high - low).max())

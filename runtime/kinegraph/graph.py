@@ -1,4 +1,6 @@
-"""The hierarchical semantic graph (GraphMotion, section 3.1): the caption (motion), its actions, their arguments
+"""The twelve edge types of the semantic graph (GraphMotion, section B.1) and their stable numbers.
+
+The hierarchical semantic graph (GraphMotion, section 3.1): the caption (motion), its actions, their arguments
 (specifics), on twelve types of weighted edges. Edits are in `kinegraph.edits`."""
 
 from __future__ import annotations
@@ -10,7 +12,31 @@ from typing import Any, Final, NoReturn
 
 from kinegraph.errors import InvalidGraphError
 from kinegraph.limits import MAX_NODES, MAX_TEXT
-from kinegraph.text.roles import ARGUMENT_ROLES
+
+MOTION_ACTION: Final = "ARGM-MA"
+OTHERS: Final = "OTHERS"
+
+ROLES: Final[tuple[str, ...]] = (
+    "ARG0",
+    "ARG1",
+    "ARG2",
+    "ARG3",
+    "ARG4",
+    "ARGM-LOC",
+    "ARGM-MNR",
+    "ARGM-TMP",
+    "ARGM-DIR",
+    "ARGM-ADV",
+    MOTION_ACTION,
+    OTHERS,
+)
+"""Position in this tuple is the relation number fed to the graph encoder; trained weights depend on it."""
+
+ARGUMENT_ROLES: Final[tuple[str, ...]] = tuple(role for role in ROLES if role != MOTION_ACTION)
+"""Roles an action's argument may bear; ARGM-MA is reserved for motion-action edges."""
+
+ROLE_INDEX: Final[dict[str, int]] = {role: index for index, role in enumerate(ROLES)}
+
 
 MAX_WEIGHT: Final = 100.0
 """Of an edge; beyond it attention sees nothing else anyway."""

@@ -1,18 +1,22 @@
-"""What one call wants, checked before any model runs; what a bundle is lives in `kinegraph.manifest`."""
+"""What one call wants, checked before any model runs; what a bundle is lives in `kinegraph.bundle.manifest`.
+
+Several sentences in one call, a sequence or a batch: their lengths, seeds and captions."""
 
 from __future__ import annotations
 
 import math
+import re
 import secrets
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from numbers import Integral, Real
 from types import MappingProxyType
-from typing import Final, TypeVar
+from typing import Any, Final, TypeVar
 
-from kinegraph.contract import LEVELS
+from kinegraph.bundle.contract import LEVELS
+from kinegraph.bundle.manifest import Manifest, ScheduleSpec
 from kinegraph.errors import InvalidInputError
-from kinegraph.manifest import Manifest, ScheduleSpec
+from kinegraph.limits import MAX_TAKES
 
 MAX_GUIDANCE: Final = 20.0
 MAX_SEED: Final = 2**63
@@ -26,7 +30,7 @@ N = TypeVar("N", int, float)
 
 @dataclass(frozen=True)
 class GenerateOptions:
-    """A call's wishes with the bundle's defaults filled in; made by `generate_options`."""
+    """A call's wishes with the bundle's defaults filled in; made by `resolve_options`."""
 
     frames: int
     seconds: float
@@ -40,7 +44,7 @@ class GenerateOptions:
     """Whether feet that stand are held where they stand."""
 
 
-def generate_options(
+def resolve_options(
     manifest: Manifest,
     *,
     seconds: float | None = None,
@@ -70,7 +74,7 @@ def generate_options(
     return GenerateOptions(
         frames=frames,
         seconds=frames / manifest.fps,
-        seed=checked_seed(seed),
+        seed=validate_seed(seed),
         steps=_per_level(steps, "steps", manifest.defaults.steps, checked_steps),
         guidance=_per_level(guidance, "guidance", manifest.defaults.guidance, _guidance),
         foot_fix=_flag(foot_fix, "foot_fix"),
@@ -93,7 +97,7 @@ def frame_count(manifest: Manifest, seconds: float) -> int:
     return min(max(round(frames), manifest.frames.min), manifest.frames.max)
 
 
-def checked_seed(seed: object) -> int:
+def validate_seed(seed: object) -> int:
     """The seed itself, or a new one for None.
 
     Raises:
@@ -104,7 +108,7 @@ def checked_seed(seed: object) -> int:
         return secrets.randbelow(2**32)
     number = whole_number(seed)
     if number is None or not 0 <= number < MAX_SEED:
-        raise InvalidInputError(f"seed must be a whole number from 0 to 2**63 - 1, not {shown(seed)}")
+        raise InvalidInputError(f"seed must be a whole number from 0 to 2**63 - 1, not {short_repr(seed)}")
     return number
 
 
@@ -112,7 +116,7 @@ def _steps(value: object, name: str, schedule: ScheduleSpec) -> int:
     most = schedule.train_steps
     steps = whole_number(value)
     if steps is None or not 1 <= steps <= most:
-        raise InvalidInputError(f"{name} must be a whole number from 1 to {most}, not {shown(value)}")
+        raise InvalidInputError(f"{name} must be a whole number from 1 to {most}, not {short_repr(value)}")
     try:
         schedule.noise.timesteps(steps)
     except InvalidInputError as error:
@@ -136,7 +140,7 @@ def _per_level(
     if isinstance(wish, Mapping):
         for level in wish:
             if level not in LEVELS:
-                raise InvalidInputError(f"{name}: unknown level {shown(level)}; the levels are {list(LEVELS)}")
+                raise InvalidInputError(f"{name}: unknown level {short_repr(level)}; the levels are {list(LEVELS)}")
         given: dict[str, object] = dict(wish)
     elif isinstance(wish, list | tuple):
         if len(wish) != len(LEVELS):
@@ -154,7 +158,7 @@ def _per_level(
 
 def _flag(value: object, name: str) -> bool:
     if not isinstance(value, bool):
-        raise InvalidInputError(f"{name} must be True or False, not {shown(value)}")
+        raise InvalidInputError(f"{name} must be True or False, not {short_repr(value)}")
     return value
 
 
@@ -166,7 +170,7 @@ def whole_number(value: object) -> int | None:
 
 def _finite(value: object, name: str, allowed: str) -> float:
     if isinstance(value, bool) or not isinstance(value, Real):
-        raise InvalidInputError(f"{name} {allowed}, not {shown(value)}")
+        raise InvalidInputError(f"{name} {allowed}, not {short_repr(value)}")
     try:
         number = float(value)
     except OverflowError:  # an integer beyond 1e308
@@ -176,10 +180,54 @@ def _finite(value: object, name: str, allowed: str) -> float:
     return number
 
 
-def shown(value: object) -> str:
+def short_repr(value: object) -> str:
     """A short text for a message, whatever the caller passed: some reprs are megabytes, some raise."""
     if isinstance(value, int) and abs(value) >= 10**40:
         return "a number of more than 40 digits"
     if value is None or isinstance(value, str | int | float):
         return repr(value)[:80]
     return f"a value of type {type(value).__name__}"
+
+
+def batch_seeds(first: int, texts: int, takes: object) -> list[int]:
+    """The seeds of a batch, one after another.
+
+    Raises:
+        InvalidInputError: takes that are no whole number, more than `limits.MAX_TAKES` clips, or seeds that end beyond
+            the largest.
+    """
+    number = whole_number(takes)
+    if number is None or not 1 <= number <= MAX_TAKES:
+        raise InvalidInputError(f"takes must be a whole number from 1 to {MAX_TAKES}, not {short_repr(takes)}")
+    if texts * number > MAX_TAKES:
+        raise InvalidInputError(f"{texts} sentences of {number} takes; {MAX_TAKES} clips at most share a run")
+    return [validate_seed(first + place) for place in range(texts * number)]
+
+
+def sequence_caption(captions: Sequence[str]) -> str:
+    """One caption of a sequence: "a person walks", "then bows" -> "a person walks, then bows"."""
+    first, *others = captions
+    return ", then ".join([first, *(re.sub(r"^\s*((and|then)\s+)+", "", other) for other in others)])
+
+
+def validate_lengths(texts: object, seconds: object, most: int, what: str) -> list[Any]:
+    """The length of every sentence of several; None where the sentence decides.
+
+    Args:
+        texts: of a sequence or a batch.
+        seconds: one length, one per sentence, or None.
+        most: sentences allowed.
+        what: "a sequence" or "a batch", for messages.
+
+    Raises:
+        InvalidInputError: no list of 1 to `most` sentences, or lengths that are not as many.
+    """
+    if isinstance(texts, str) or not isinstance(texts, Sequence):
+        raise InvalidInputError(f"{what} takes a list of sentences")
+    if not 1 <= len(texts) <= most:
+        raise InvalidInputError(f"{what} has 1 to {most} sentences, not {len(texts)}")
+    if not isinstance(seconds, list | tuple):
+        return [seconds] * len(texts)
+    if len(seconds) != len(texts):
+        raise InvalidInputError(f"seconds has {len(seconds)} lengths for {len(texts)} sentences")
+    return list(seconds)

@@ -10,31 +10,34 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import onnxruntime
-from numpy.typing import NDArray
 
-from kinegraph.bundle import read_bundle
-from kinegraph.concepts import Composing, Concept, checked_composing
-from kinegraph.conditions import Conditions, repeated
+from kinegraph.arrays import FloatArray
+from kinegraph.bundle.manifest import Manifest
+from kinegraph.bundle.reader import read_bundle
+from kinegraph.bundle.sessions import Sessions, open_sessions
+from kinegraph.bundle.tables import bones_of
+from kinegraph.clip import Clip
+from kinegraph.concepts import CompositionSpec, Concept, validate_composition
+from kinegraph.conditioning import Conditions, Encoders, repeated
 from kinegraph.decoding import Decoders
-from kinegraph.denoisers import Denoisers, check_step_sizes
-from kinegraph.diffusion.composition import Mixture
-from kinegraph.diffusion.sampler import OnStep, part_of
-from kinegraph.encoding import Encoders
+from kinegraph.denoising import Denoisers, check_step_sizes
+from kinegraph.diffusion.composition import CompositionWeights
+from kinegraph.diffusion.sampling import OnStep, subrange_progress
 from kinegraph.graph import SemanticGraph
 from kinegraph.limits import MAX_PARTS, MAX_TAKES
-from kinegraph.manifest import Manifest
-from kinegraph.motion.clip import Clip
-from kinegraph.motion.joining import joined
-from kinegraph.options import GenerateOptions, Guidance, Steps, generate_options
-from kinegraph.parts import batch_seeds, part_captions, part_lengths
-from kinegraph.sessions import Sessions, open_sessions
-from kinegraph.tables import bones_of
+from kinegraph.motion.blending import stitch
+from kinegraph.options import (
+    GenerateOptions,
+    Guidance,
+    Steps,
+    batch_seeds,
+    resolve_options,
+    sequence_caption,
+    validate_lengths,
+)
 from kinegraph.text.parser import LazyParser, check_caption
-from kinegraph.text.tokens import CaptionTokenizer
-
-FloatArray = NDArray[np.float32]
+from kinegraph.text.tokenizer import CaptionTokenizer
 
 OnLevel = Callable[[str, Clip], None]
 """Called after a level, of `contract.COARSE_DECODERS`, with its name and the clip as far as it has come."""
@@ -124,13 +127,13 @@ class MotionPipeline:
             Cancelled: `on_step` returned False.
             NonFiniteError: a model produced NaN or infinity.
         """
-        options = generate_options(
+        options = resolve_options(
             self.manifest, seconds=seconds, seed=seed, steps=steps, guidance=guidance, foot_fix=foot_fix
         )
         graph = self._graph(text)
         encoded, mixture, options = self._encoders.weighted(graph, options, seconds is None)
         denoisers = self._denoisers(options, graph.caption, on_level)
-        if mixture == Mixture((1.0,)):
+        if mixture == CompositionWeights((1.0,)):
             latent = denoisers.guided(encoded, [options], on_step)
         else:
             latent = denoisers.composed(encoded, mixture, options, on_step)
@@ -178,9 +181,9 @@ class MotionPipeline:
         Raises:
             InvalidInputError, Cancelled, NonFiniteError: as in `generate`; also for too many clips, and for weights.
         """
-        lengths = part_lengths(texts, seconds, MAX_TAKES, "a batch")
+        lengths = validate_lengths(texts, seconds, MAX_TAKES, "a batch")
         wishes: dict[str, Any] = {"seed": seed, "steps": steps, "guidance": guidance, "foot_fix": foot_fix}
-        options = [generate_options(self.manifest, seconds=length, **wishes) for length in lengths]
+        options = [resolve_options(self.manifest, seconds=length, **wishes) for length in lengths]
         seeds = batch_seeds(options[0].seed, len(options), takes)
         graphs = [self._graph(text) for text in texts]
         encoded, own = self._encoders.side_by_side(graphs, options, [length is None for length in lengths])
@@ -212,18 +215,20 @@ class MotionPipeline:
         Raises:
             InvalidInputError, Cancelled, NonFiniteError: as in `generate`.
         """
-        lengths = part_lengths(texts, seconds, MAX_PARTS, "a sequence")
+        lengths = validate_lengths(texts, seconds, MAX_PARTS, "a sequence")
         wishes: dict[str, Any] = {"steps": steps, "guidance": guidance, "foot_fix": foot_fix}
-        options = [generate_options(self.manifest, seconds=length, seed=seed, **wishes) for length in lengths]
+        options = [resolve_options(self.manifest, seconds=length, seed=seed, **wishes) for length in lengths]
         graphs = [self._graph(text) for text in texts]
         seeds = batch_seeds(options[0].seed, len(texts), takes=1)
         clips = [
-            self.generate(graph, seconds=length, seed=own, on_step=part_of(on_step, place, len(texts)), **wishes)
+            self.generate(
+                graph, seconds=length, seed=own, on_step=subrange_progress(on_step, place, len(texts)), **wishes
+            )
             for place, (graph, length, own) in enumerate(zip(graphs, lengths, seeds, strict=True))
         ]
-        joints = joined([clip.joints for clip in clips], self.manifest.fps, foot_fix=foot_fix)
+        joints = stitch([clip.joints for clip in clips], self.manifest.fps, foot_fix=foot_fix)
         own = clips[0].graph if len(clips) == 1 else None
-        return replace(clips[0], joints=joints, text=part_captions([clip.text for clip in clips]), graph=own)
+        return replace(clips[0], joints=joints, text=sequence_caption([clip.text for clip in clips]), graph=own)
 
     def compose(
         self,
@@ -260,8 +265,8 @@ class MotionPipeline:
                 graphs for `agd`; nothing has been run.
             Cancelled, NonFiniteError: as in `generate`.
         """
-        what = checked_composing(concepts, method, text, lambdas, agd)
-        options = generate_options(
+        what = validate_composition(concepts, method, text, lambdas, agd)
+        options = resolve_options(
             self.manifest, seconds=seconds, seed=seed, steps=steps, guidance=guidance, foot_fix=foot_fix
         )
         encoded, mixture, options = self._mixed(what, options, seconds is None)
@@ -270,8 +275,8 @@ class MotionPipeline:
         return self._decoders.clips(latent, [options], [caption])[0]
 
     def _mixed(
-        self, what: Composing, options: GenerateOptions, own_length: bool
-    ) -> tuple[Conditions, Mixture, GenerateOptions]:
+        self, what: CompositionSpec, options: GenerateOptions, own_length: bool
+    ) -> tuple[Conditions, CompositionWeights, GenerateOptions]:
         """What is composed, encoded; `own_length` asks the concepts for the length."""
         check_step_sizes(self._sessions, self.manifest, what.agd)
         graphs = [self._graph(text) for text, _ in what.parts]

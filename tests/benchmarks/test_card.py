@@ -7,8 +7,9 @@ import sys
 from pathlib import Path
 from typing import Any
 
-import card
 import pytest
+
+from kinegraph_benchmarks import update_card as card
 
 ROOT = Path(__file__).resolve().parents[2]
 MEASURES = ("r_precision_1", "behaviour", "content", "style", "fid", "jerk", "foot_skate", "wave_speed",

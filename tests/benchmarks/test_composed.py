@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import numpy as np
-import predicates as p
 import pytest
-from composed import ALONE, BESIDE, Composed, composed, composed_set, in_order, pairs
-from composed_scores import as_clips, by_training, score, transition_distance
-from motions import posed, t_pose, turn, walk
 
-from kinegraph_training.compositions import BLEND, HeldOut, joined
-from kinegraph_training.data import MotionClip
+from kinegraph_benchmarks.common import predicates as p
+from kinegraph_benchmarks.common.two_action_scores import as_clips, by_training, score, transition_distance
+from kinegraph_benchmarks.common.two_action_set import ALONE, BESIDE, Composed, composed, composed_set, in_order, pairs
+from kinegraph_training.data.clips import MotionClip
+from kinegraph_training.synthetic.compositions import BLEND, HeldOut, stitch_clips
+from support.motions import posed, t_pose, turn, walk
 
 UP = {16: turn("z", 1.4)}
 """The left arm above the head."""
@@ -30,7 +30,7 @@ CLIPS = [clip("walk", WALK), clip("raise-up-left-hand", LIFT)]
 
 def test_order_is_told_from_the_other_order() -> None:
     walks, lifts = p.goes(1, 1, 0.5), p.raises("left")
-    there, back = joined(WALK, LIFT), joined(LIFT, WALK)
+    there, back = stitch_clips(WALK, LIFT), stitch_clips(LIFT, WALK)
     assert in_order(there, walks, lifts) and not in_order(back, walks, lifts)
     assert in_order(back, lifts, walks) and not in_order(there, lifts, walks)
     assert not in_order(WALK, walks, lifts) and not in_order(LIFT, walks, lifts)

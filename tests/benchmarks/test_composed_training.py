@@ -12,9 +12,8 @@ import pytest
 
 pytest.importorskip("torch")
 
-import compml
-from compare import COLUMNS
-
+from kinegraph_benchmarks.ablations import compml
+from kinegraph_benchmarks.ablations.compare import COLUMNS
 from kinegraph_training.config import read_preset
 
 

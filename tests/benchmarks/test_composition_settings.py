@@ -6,12 +6,13 @@ import json
 from pathlib import Path
 from typing import Any
 
-import composition_settings as settings
 import numpy as np
 import pytest
-from composed import BESIDE
-from motions import SHARED, walk
-from written import kept
+
+from kinegraph_benchmarks.common.report_io import write_json
+from kinegraph_benchmarks.common.two_action_set import BESIDE
+from kinegraph_benchmarks.quality import composition_settings as settings
+from support.motions import SHARED, walk
 
 
 def test_pairs_are_held_out_of_training_and_can_be_judged() -> None:
@@ -76,7 +77,7 @@ def test_a_stopped_run_goes_on_with_rows_of_its_own_only(tmp_path: Path) -> None
     new = settings.begun(path, how)
     assert new == {**how, "settings": {}, "negation": {}, "alike": {}}
     new["settings"]["latent"] = {"both": 0.5}
-    kept(path, new)
+    write_json(path, new)
     assert settings.begun(path, how) == new
     assert settings.begun(path, {**how, "seeds": 3})["settings"] == {}
 

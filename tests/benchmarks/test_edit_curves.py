@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import edit_curves
 import numpy as np
 import pytest
-from motions import walk
 
-from kinegraph.bundle import DEFAULT_BUNDLE
+from kinegraph.bundle.reader import DEFAULT_BUNDLE
+from kinegraph_benchmarks.quality import edit_curves
+from support.motions import walk
 
 
 def values(means: list[float], spread: float) -> np.ndarray:

@@ -9,15 +9,15 @@ from typing import Any
 
 import numpy as np
 import pytest
-from caption_claims import Claim, claims, hand_height, steps
-from evaluate import captured_scores, table
-from motions import SHARED, posed, t_pose, turn, walk
-from recogniser import Recogniser
-from scores import Judges, Reference, by_pair, has_twin, kept_labels, means, summarised
-from takes import captions_of, folder_of, generated
 
 from kinegraph.motion.skeleton import bone_lengths
-from kinegraph_training.data import MotionClip, read_split
+from kinegraph_benchmarks.common.caption_claims import Claim, claims, hand_height, steps
+from kinegraph_benchmarks.common.label_classifier import Recogniser
+from kinegraph_benchmarks.common.sample_cache import captions_of, folder_of, generated
+from kinegraph_benchmarks.common.scores import Judges, Reference, by_pair, has_twin, kept_labels, means, summarised
+from kinegraph_benchmarks.quality.evaluate import captured_scores, table
+from kinegraph_training.data.clips import MotionClip, read_split
+from support.motions import SHARED, posed, t_pose, turn, walk
 
 
 def clip(content: str, joints: np.ndarray, style: str = "normal", *captions: str) -> MotionClip:

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from typing import Any
 
-import foot_fix
 import numpy as np
 import pytest
-from motions import walk
 
-from kinegraph.motion.feet import planted_feet
+from kinegraph.motion.postprocess import lock_feet
+from kinegraph_benchmarks.quality import foot_fix
+from support.motions import walk
 
 
 def drifting(speed: float) -> np.ndarray:
@@ -23,7 +23,7 @@ def drifting(speed: float) -> np.ndarray:
 def test_the_sliding_of_standing_toes_is_their_speed(speed: float) -> None:
     joints = drifting(speed)
     assert foot_fix.standing(joints, joints) == pytest.approx(speed, abs=1e-4)
-    held = planted_feet(drifting(0.03), foot_fix.measures.FPS)
+    held = lock_feet(drifting(0.03), foot_fix.measures.FPS)
     assert foot_fix.standing(held, drifting(0.03)) < 0.01
 
 

@@ -10,8 +10,7 @@ import pytest
 pytest.importorskip("torch")
 pytest.importorskip("onnx")
 
-import latent_tokens
-
+from kinegraph_benchmarks.ablations import latent_tokens
 from kinegraph_training.config import read_preset
 
 

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import json
 
-import lengths
 import pytest
-from behaviours import CONTENTS
-from motions import walk
+
+from kinegraph_benchmarks.common.behaviour_prompts import CONTENTS
+from kinegraph_benchmarks.quality import duration_sweep as lengths
+from support.motions import walk
 
 BY_NAME = {behaviour.name: behaviour for behaviour in CONTENTS}
 

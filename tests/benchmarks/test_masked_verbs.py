@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-from masked_verbs import PREDICATES, Masked, rates, without_verbs
-from motions import posed, t_pose, turn
 
-from kinegraph.conditions import structure
+from kinegraph.conditioning import graph_structure
 from kinegraph.graph import Action, Argument, SemanticGraph
-from kinegraph_training.data import MotionClip
+from kinegraph_benchmarks.quality.masked_verbs import PREDICATES, Masked, rates, without_verbs
+from kinegraph_training.data.clips import MotionClip
+from support.motions import posed, t_pose, turn
 
 CAPTION = "a person walks to the left, then bows slowly"
 
@@ -34,7 +34,7 @@ def test_verbs_are_masked_and_all_else_stays() -> None:
     assert [action.text for action in found.actions] == ["[MASK]", "[MASK]"]
     texts = [[part.text for part in action.arguments] for action in found.actions]
     assert texts == [["a person", "to the left"], ["slowly"]]
-    for own, other in zip(structure(found), structure(GRAPH), strict=True):
+    for own, other in zip(graph_structure(found), graph_structure(GRAPH), strict=True):
         np.testing.assert_array_equal(own, other)
 
 

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import pytest
-from other_cpu import PARTS, compared, saved
 
 from kinegraph import MotionPipeline
-from kinegraph.bundle import DEFAULT_BUNDLE
+from kinegraph.bundle.reader import DEFAULT_BUNDLE
+from kinegraph_benchmarks.speed.cross_platform import PARTS, compared, saved
 
 pytestmark = pytest.mark.skipif(not (DEFAULT_BUNDLE / "manifest.json").is_file(), reason="no default bundle")
 

@@ -11,9 +11,8 @@ import pytest
 pytest.importorskip("torch")
 pytest.importorskip("spacy")
 
-from parser_accuracy import HARD, folds_of
-
-from kinegraph.text.roles import ARGUMENT_ROLES
+from kinegraph.graph import ARGUMENT_ROLES
+from kinegraph_benchmarks.quality.parser_accuracy import HARD, folds_of
 
 
 def rows(half: str) -> list[dict]:

@@ -1,15 +1,15 @@
-"""Predicates and measures on motions made so that the answer is known."""
+"""Predicates and metrics on motions made so that the answer is known."""
 
 from __future__ import annotations
 
 import numpy as np
-import predicates as p
 import pytest
-from behaviours import BEHAVIOURS, CONTENTS
-from motions import posed, t_pose, turn, walk
 
 from kinegraph.motion.skeleton import JOINT_INDEX, bone_lengths, mirrored
-from kinegraph_training import measures
+from kinegraph_benchmarks.common import predicates as p
+from kinegraph_benchmarks.common.behaviour_prompts import BEHAVIOURS, CONTENTS
+from kinegraph_training import metrics
+from support.motions import posed, t_pose, turn, walk
 
 
 def gesture(left: float, right: float, frames: int = 40, swing: float = 0.0) -> np.ndarray:
@@ -106,29 +106,29 @@ def test_jerk_of_a_cubic_is_its_third_derivative() -> None:
     seconds = np.arange(30) / 20
     joints = np.zeros((30, 22, 3))
     joints[..., 0] = (seconds**3)[:, None]
-    assert measures.jerk(joints) == pytest.approx(6.0, rel=1e-6)
+    assert metrics.jerk(joints) == pytest.approx(6.0, rel=1e-6)
 
 
 def test_skating_counts_toes_on_the_floor_only() -> None:
     sliding = t_pose(21) + np.linspace(0, 1, 21)[:, None, None] * np.array([0.0, 0.0, 1.0])
-    assert measures.foot_skate(sliding) == pytest.approx(1.0, rel=1e-4)
+    assert metrics.foot_skate(sliding) == pytest.approx(1.0, rel=1e-4)
     flying = sliding + np.array([0.0, 0.3, 0.0])
-    assert np.isnan(measures.foot_skate(flying))
+    assert np.isnan(metrics.foot_skate(flying))
 
 
 def test_hand_speed_is_the_busier_hands_and_not_the_bodys() -> None:
     joints = np.repeat(t_pose(1), 21, axis=0) + np.linspace(0, 2, 21)[:, None, None] * np.array([0.0, 0.0, 1.0])
-    assert measures.hand_speed(joints) == pytest.approx(0.0, abs=1e-6)
+    assert metrics.hand_speed(joints) == pytest.approx(0.0, abs=1e-6)
     joints[1::2, JOINT_INDEX["left_wrist"], 1] += 0.1
-    assert measures.hand_speed(joints) == pytest.approx(2.0)
+    assert metrics.hand_speed(joints) == pytest.approx(2.0)
 
 
 def test_bone_error_is_in_millimetres() -> None:
     joints = t_pose(3)
     lengths = bone_lengths(joints).mean(0)
-    assert measures.bone_error(joints, lengths) == pytest.approx(0.0, abs=1e-4)
+    assert metrics.bone_error(joints, lengths) == pytest.approx(0.0, abs=1e-4)
     joints[:, JOINT_INDEX["head"], 1] += 0.021
-    assert 0.5 < measures.bone_error(joints, lengths) < 1.05
+    assert 0.5 < metrics.bone_error(joints, lengths) < 1.05
 
 
 def test_a_walkers_swinging_arms_are_no_wave() -> None:

@@ -7,14 +7,15 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-import timing
+
+from kinegraph_benchmarks.common import timing
 
 torch = pytest.importorskip("torch")
 pytest.importorskip("onnxscript")
 
-import precision  # noqa: E402
-import report  # noqa: E402
-import scaling  # noqa: E402
+from kinegraph_benchmarks.quality import precision
+from kinegraph_benchmarks.speed import scaling
+from kinegraph_benchmarks.speed import speed_table as report
 
 MACHINE = {"cpu": "a CPU", "cpus": 2, "kinegraph": "1", "onnxruntime": "1", "python": "3"}
 

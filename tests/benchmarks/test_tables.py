@@ -8,7 +8,8 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-import tables
+
+from kinegraph_benchmarks import run_all as tables
 
 NAMES = ["reconstruction", "behaviour", "lengths", "foot_fix", "evaluate", "masked_verbs", "edit_curves",
          "composition_settings", "sampling", "compare", "latent_tokens"]  # fmt: skip

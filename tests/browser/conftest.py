@@ -7,7 +7,8 @@ from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
 
 import pytest
-from browsing import Open
+
+from support.browsing import Open
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, Page

@@ -5,8 +5,9 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import pytest
-from browsing import Open, generate, made, wait_until
-from playing import Playing
+
+from support.browsing import Open, generate, made, wait_until
+from support.playing import Playing
 
 if TYPE_CHECKING:
     from playwright.sync_api import Page

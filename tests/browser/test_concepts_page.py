@@ -5,10 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from browsing import Open, download, made, settings, wait_until
-from playing import Playing
 
 from kinegraph import cli
+from support.browsing import Open, download, made, settings, wait_until
+from support.playing import Playing
 
 
 def test_concepts_are_composed(open_page: Open, server: Playing, tmp_path: Path) -> None:

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from browsing import Open, changed, download, generate, made, shown, wait_until
-from playing import Playing
-
 from kinegraph import cli
+from support.browsing import Open, changed, download, generate, made, shown, wait_until
+from support.playing import Playing
 
 
 def test_a_slider_changes_the_motion_and_keeps_the_seed(open_page: Open, server: Playing, tmp_path: Path) -> None:

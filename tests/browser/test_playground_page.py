@@ -9,12 +9,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
-from browsing import TEXT, Open, changed, download, generate, made, settings, shown, time_of, wait_until
-from playing import Playing
 
 from kinegraph import cli
-from kinegraph.motion.clip import Clip
-from kinegraph.play.making import Making
+from kinegraph.clip import Clip
+from kinegraph.playground.jobs import GenerationJob
+from support.browsing import TEXT, Open, changed, download, generate, made, settings, shown, time_of, wait_until
+from support.playing import Playing
 
 if TYPE_CHECKING:
     from playwright.sync_api import Page
@@ -52,13 +52,13 @@ def test_files_are_those_of_the_command_line(open_page: Open, server: Playing, t
 @pytest.fixture
 def go_on(monkeypatch: pytest.MonkeyPatch) -> threading.Semaphore:
     """Whoever makes a clip waits after each sketch until this is released: how fast the browser draws is no matter."""
-    told, semaphore = Making._level, threading.Semaphore(0)
+    told, semaphore = GenerationJob._level, threading.Semaphore(0)
 
-    def wait(self: Making, level: str, clip: Clip) -> None:
+    def wait(self: GenerationJob, level: str, clip: Clip) -> None:
         told(self, level, clip)
         assert semaphore.acquire(timeout=60)
 
-    monkeypatch.setattr(Making, "_level", wait)
+    monkeypatch.setattr(GenerationJob, "_level", wait)
     return semaphore
 
 

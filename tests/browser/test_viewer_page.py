@@ -5,12 +5,12 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from browsing import Open, changed, shown, time_of, wait_until
-from cli_runs import whole
-from motions import walk
 
+from kinegraph.clip import Clip
 from kinegraph.formats.html import page as page_of
-from kinegraph.motion.clip import Clip
+from support.browsing import Open, changed, shown, time_of, wait_until
+from support.cli_runs import whole
+from support.motions import walk
 
 HOSTILE = "</script><img src=x onerror=alert(1)> \u2028 走る"
 

@@ -12,18 +12,18 @@ import pytest
 torch = pytest.importorskip("torch")
 pytest.importorskip("onnxscript")
 
-import onnxruntime  # noqa: E402
-from torch import Tensor  # noqa: E402
+import onnxruntime
+from torch import Tensor
 
-from kinegraph.conditions import Conditions  # noqa: E402
-from kinegraph.contract import LEVELS, NODE_KINDS, NULL_KIND, PADDING_BIAS, LevelSpec, contracts  # noqa: E402
-from kinegraph.diffusion.composition import Mixture, composition, mixed  # noqa: E402
-from kinegraph.network import RowNetwork, row_network  # noqa: E402
-from kinegraph_export.graphs import export_graph  # noqa: E402
-from kinegraph_export.modules import ContextGraph, MotionContextGraph, StepGraph  # noqa: E402
-from kinegraph_training.models.denoiser import DenoiserConfig, LatentShape  # noqa: E402
-from kinegraph_training.models.hierarchy import Hierarchy  # noqa: E402
-from kinegraph_training.models.transformer import attend, merge_heads, split_heads  # noqa: E402
+from kinegraph.bundle.contract import LEVELS, NODE_KINDS, NULL_KIND, PADDING_BIAS, LevelSpec, contracts
+from kinegraph.conditioning import Conditions
+from kinegraph.denoising import RowNetwork, row_network
+from kinegraph.diffusion.composition import CompositionWeights, combine_rows, plan_rows
+from kinegraph_export.graphs import export_graph
+from kinegraph_export.modules import ContextGraph, DenoiserGraph, MotionContextGraph
+from kinegraph_training.models.denoiser import DenoiserConfig, LatentShape
+from kinegraph_training.models.hierarchy import Hierarchy
+from kinegraph_training.models.transformer import attend, merge_heads, split_heads
 
 CONFIG = DenoiserConfig(width=16, layers=3, heads=2, feed_forward=32, text_width=12, max_frames=40, train_steps=50)
 LATENTS = {name: LatentShape(tokens, 3) for name, tokens in zip(LEVELS, (1, 2, 4), strict=True)}
@@ -49,7 +49,7 @@ def level(request: pytest.FixtureRequest) -> Level:
     specs = {each: LevelSpec(shape.tokens, shape.width, 16, 2, 3, NODE_KINDS) for each, shape in LATENTS.items()}
     declared = contracts(specs, CONFIG.text_width, 137)
     wrap = MotionContextGraph if name == LEVELS[0] else ContextGraph
-    modules = {f"context_{name}": wrap(denoiser.context), f"step_{name}": StepGraph(denoiser.step)}
+    modules = {f"context_{name}": wrap(denoiser.context), f"step_{name}": DenoiserGraph(denoiser.step)}
     sessions = [
         onnxruntime.InferenceSession(
             export_graph(module.eval(), declared[graph], 4, "fp32")[0], providers=["CPUExecutionProvider"]
@@ -136,12 +136,12 @@ def test_one_run_of_the_graphs_is_the_equations(
     modulation = rng.normal(0.5, 0.5, (1, 18, 16)).astype(np.float32)
     scale = 2.5
 
-    plan = composition(Mixture(weights, (1.0,), negated, lambdas), scale, coarse=above is not None)
+    plan = plan_rows(CompositionWeights(weights, (1.0,), negated, lambdas), scale, coarse=above is not None)
     rows = len(plan.mix)
     shared = None if above is None else np.repeat(above, len(known.kind), axis=0)
     spread = np.repeat(modulation[None], rows, axis=1)
     network: RowNetwork = row_network(level.context, level.step, known, shared, plan.wiring, spread)
-    found = mixed(network(np.repeat(latent, rows, axis=0), 0), plan.mix)
+    found = combine_rows(network(np.repeat(latent, rows, axis=0), 0), plan.mix)
 
     coarse = None if above is None else torch.from_numpy(above)
     given = (torch.from_numpy(latent), torch.from_numpy(modulation), known, coarse)

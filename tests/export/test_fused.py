@@ -11,12 +11,12 @@ torch = pytest.importorskip("torch")
 onnx = pytest.importorskip("onnx")
 pytest.importorskip("onnxscript")
 
-from kinegraph.contract import LevelSpec, clock, step  # noqa: E402
-from kinegraph_export.graphs import drawn_inputs, export_graph  # noqa: E402
-from kinegraph_export.modules import ClockGraph, StepGraph  # noqa: E402
-from kinegraph_export.onnx_export import round_weights  # noqa: E402
-from kinegraph_export.parity import ParityError, max_difference, relative_error  # noqa: E402
-from kinegraph_training.models.denoiser import Clock, DenoiserConfig, LatentShape, StepNetwork  # noqa: E402
+from kinegraph.bundle.contract import LevelSpec, clock, step
+from kinegraph_export.graphs import drawn_inputs, export_graph
+from kinegraph_export.modules import DenoiserGraph, ModulationGraph
+from kinegraph_export.onnx_export import round_weights
+from kinegraph_export.parity import ParityError, max_difference, relative_error
+from kinegraph_training.models.denoiser import AdaLNModulation, DenoiserConfig, LatentShape, NoisePredictor
 
 LAYERS, TOKENS = 3, 4
 CONFIG = DenoiserConfig(width=64, layers=LAYERS, heads=2, feed_forward=128)
@@ -27,20 +27,20 @@ Exported = tuple[bytes, dict[str, float]]
 
 
 @pytest.fixture(scope="module")
-def network() -> StepGraph:
+def network() -> DenoiserGraph:
     torch.manual_seed(0)
-    module = StepGraph(StepNetwork(CONFIG, LatentShape(TOKENS, 8))).eval()
+    module = DenoiserGraph(NoisePredictor(CONFIG, LatentShape(TOKENS, 8))).eval()
     round_weights(module)
     return module
 
 
 @pytest.fixture(scope="module")
-def in_float(network: StepGraph) -> Exported:
+def in_float(network: DenoiserGraph) -> Exported:
     return export_graph(network, CONTRACT, 4, "fp32")
 
 
 @pytest.fixture(scope="module")
-def in_int8(network: StepGraph) -> Exported:
+def in_int8(network: DenoiserGraph) -> Exported:
     return export_graph(network, CONTRACT, 4, "int8")
 
 
@@ -86,13 +86,13 @@ def test_keys_values_and_time_are_inputs_of_a_step(in_int8: Exported) -> None:
     assert {"key_0", "value_0", "modulation"} <= names and not names & {"timestep", "nodes", "frames"}
 
 
-def test_the_same_module_gives_the_same_int8_bytes(network: StepGraph, in_int8: Exported) -> None:
+def test_the_same_module_gives_the_same_int8_bytes(network: DenoiserGraph, in_int8: Exported) -> None:
     assert export_graph(network, CONTRACT, 4, "int8")[0] == in_int8[0]
 
 
 def test_parity_sees_a_wrong_weight(in_float: Exported) -> None:
     data, _ = in_float
-    other = StepGraph(StepNetwork(CONFIG, LatentShape(TOKENS, 8))).eval()
+    other = DenoiserGraph(NoisePredictor(CONFIG, LatentShape(TOKENS, 8))).eval()
     draw = drawn_inputs(CONTRACT, 4)
     with pytest.raises(ParityError, match="step_motion"):
         max_difference(data, other, CONTRACT, draw)
@@ -102,7 +102,7 @@ def test_parity_sees_a_wrong_weight(in_float: Exported) -> None:
 
 def test_the_clock_is_one_graph_of_all_steps() -> None:
     contract = clock("motion", LEVEL)
-    data, _ = export_graph(ClockGraph(Clock(CONFIG)).eval(), contract, 4, "int8")
+    data, _ = export_graph(ModulationGraph(AdaLNModulation(CONFIG)).eval(), contract, 4, "int8")
     assert "Loop" not in {node.op_type for node in onnx.load_model_from_string(data).graph.node}
     feeds = drawn_inputs(contract, 4)(np.random.Generator(np.random.PCG64(0)))
     import onnxruntime

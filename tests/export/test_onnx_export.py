@@ -11,12 +11,12 @@ import pytest
 torch = pytest.importorskip("torch")
 onnx = pytest.importorskip("onnx")
 
-import onnxruntime  # noqa: E402
-from onnx import TensorProto, numpy_helper  # noqa: E402
-from torch import nn  # noqa: E402
+import onnxruntime
+from onnx import TensorProto, numpy_helper
+from torch import nn
 
-from kinegraph.onnx_ops import summarise  # noqa: E402
-from kinegraph_export.onnx_export import HALVED_ABOVE, halved_weights, round_weights, serialised, to_onnx  # noqa: E402
+from kinegraph.bundle.onnx_inspect import summarise
+from kinegraph_export.onnx_export import HALVED_ABOVE, round_weights, serialised, store_float16, to_onnx
 
 FREE = {0: torch.export.Dim.DYNAMIC, 1: torch.export.Dim.DYNAMIC}
 
@@ -83,7 +83,7 @@ def test_halved_weights_compute_in_float32_on_the_rounded_numbers(toy: Toy) -> N
     assert torch.equal(module.linear.weight, toy.linear.weight.half().float())
     # Small tensors stay as they are.
     assert module.linear.bias.numel() <= HALVED_ABOVE and torch.equal(module.linear.bias, toy.linear.bias)
-    full, half = exported(module), halved_weights(exported(module))
+    full, half = exported(module), store_float16(exported(module))
     size = {name: len(serialised(graph)) for name, graph in (("full", full), ("half", half))}
     assert size["half"] < 0.65 * size["full"]
     stored = {tensor.name: tensor for tensor in half.graph.initializer}

@@ -11,18 +11,19 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from motions import SHARED
+
+from support.motions import SHARED
 
 torch = pytest.importorskip("torch")
 pytest.importorskip("onnx")
 
-import onnxruntime  # noqa: E402
+import onnxruntime
 
-from kinegraph.errors import BundleIntegrityError, InvalidInputError  # noqa: E402
-from kinegraph.text.tokens import CaptionTokenizer  # noqa: E402
-from kinegraph_export.sources import MINILM, checked_wheel  # noqa: E402
-from kinegraph_export.text_assets import find_wheel  # noqa: E402
-from kinegraph_export.text_encoder import MiniLm, export_text_encoder, load_minilm, tokenizer_json  # noqa: E402
+from kinegraph.errors import BundleIntegrityError, InvalidInputError
+from kinegraph.text.tokenizer import CaptionTokenizer
+from kinegraph_export.pinned_wheels import MINILM, checked_wheel
+from kinegraph_export.text_assets import find_wheel
+from kinegraph_export.text_encoder import MiniLm, export_text_encoder, load_minilm, tokenizer_json
 
 
 @pytest.fixture(scope="module")

@@ -10,10 +10,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from motions import recorded, walk
-from readers import GlbReader, blender, bvh_joints
 
-from kinegraph.motion.clip import Clip
+from kinegraph.clip import Clip
+from support.motions import recorded, walk
+from support.readers import GlbReader, blender, bvh_joints
 
 ROOT = Path(__file__).resolve().parents[2]
 MEAN_MM, MAX_MM = 5.0, 15.0

@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from kinegraph.diffusion.ddim import ddim_coefficients, ddim_step
-from kinegraph.diffusion.schedule import NoiseSchedule
+from kinegraph.diffusion.sampling import NoiseSchedule, ddim_coefficients, ddim_step
 
 torch = pytest.importorskip("torch")
 diffusers = pytest.importorskip("diffusers", reason="the independent sampler (extra `oracle`) is not installed")

@@ -6,7 +6,8 @@ from pathlib import Path
 
 import onnxruntime
 import pytest
-from synthetic_bundle import write_bundle
+
+from support.synthetic_bundle import write_bundle
 
 
 @pytest.fixture

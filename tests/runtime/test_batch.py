@@ -5,12 +5,12 @@ from __future__ import annotations
 from typing import Any
 
 import pytest
-from same_motion import assert_same_motion
 
 from kinegraph import InvalidInputError, MotionPipeline
-from kinegraph.bundle import DEFAULT_BUNDLE
+from kinegraph.bundle.reader import DEFAULT_BUNDLE
 from kinegraph.edits import with_weight
 from kinegraph.limits import MAX_TAKES
+from support.same_motion import assert_same_motion
 
 pytestmark = pytest.mark.skipif(not (DEFAULT_BUNDLE / "manifest.json").is_file(), reason="no default bundle")
 pytest.importorskip("spacy")

@@ -10,11 +10,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from cli_runs import fails
 
 from kinegraph import bench, cli
-from kinegraph.bundle import DEFAULT_BUNDLE
-from kinegraph.contract import LEVELS
+from kinegraph.bundle.contract import LEVELS
+from kinegraph.bundle.reader import DEFAULT_BUNDLE
+from support.cli_runs import fails
 
 pytestmark = pytest.mark.skipif(not (DEFAULT_BUNDLE / "manifest.json").is_file(), reason="no default bundle")
 

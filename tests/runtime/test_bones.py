@@ -6,13 +6,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from synthetic_bundle import bundle_files, tables_npz, write_bundle
 
 from kinegraph import MotionPipeline
-from kinegraph.bundle import read_bundle
+from kinegraph.bundle.reader import read_bundle
 from kinegraph.errors import BundleFormatError
-from kinegraph.motion.bones import with_bone_lengths
+from kinegraph.motion.postprocess import enforce_bone_lengths
 from kinegraph.motion.skeleton import JOINT_INDEX, PARENTS, bone_lengths
+from support.synthetic_bundle import bundle_files, tables_npz, write_bundle
 
 LENGTHS = np.linspace(0.08, 0.45, 21, dtype=np.float32)
 TOES = [JOINT_INDEX["left_foot"], JOINT_INDEX["right_foot"]]
@@ -36,13 +36,13 @@ def grown(lengths: np.ndarray, frames: int = 40) -> np.ndarray:
 
 def test_a_motion_with_these_bones_stays_as_it_is() -> None:
     joints = grown(LENGTHS)
-    np.testing.assert_allclose(with_bone_lengths(joints, LENGTHS), joints, atol=2e-6)
+    np.testing.assert_allclose(enforce_bone_lengths(joints, LENGTHS), joints, atol=2e-6)
 
 
 def test_lengths_come_out_exact_and_feet_hardly_move() -> None:
     true = grown(LENGTHS)
     joints = true + np.random.default_rng(1).normal(0, 0.002, true.shape).astype(np.float32)
-    found = with_bone_lengths(joints, LENGTHS)
+    found = enforce_bone_lengths(joints, LENGTHS)
     assert np.abs(bone_lengths(found) - LENGTHS).max() < 1e-6
     moved = np.linalg.norm(found - joints, axis=-1)
     assert moved.mean() < 0.003
@@ -54,18 +54,18 @@ def test_lengths_come_out_exact_and_feet_hardly_move() -> None:
 
 def test_without_lengths_each_bone_keeps_its_median() -> None:
     joints = grown(LENGTHS) + np.random.default_rng(1).normal(0, 0.002, (40, 22, 3)).astype(np.float32)
-    lengths = bone_lengths(with_bone_lengths(joints, None))
+    lengths = bone_lengths(enforce_bone_lengths(joints, None))
     assert np.abs(lengths - np.median(bone_lengths(joints), axis=0)).max() < 1e-6
 
 
 def test_joints_in_one_point_stay_finite() -> None:
-    assert np.isfinite(with_bone_lengths(np.zeros((3, 22, 3), np.float32), LENGTHS)).all()
+    assert np.isfinite(enforce_bone_lengths(np.zeros((3, 22, 3), np.float32), LENGTHS)).all()
 
 
 def test_input_is_left_alone() -> None:
     joints = 1.1 * grown(LENGTHS)
     before = joints.copy()
-    with_bone_lengths(joints, LENGTHS)
+    enforce_bone_lengths(joints, LENGTHS)
     np.testing.assert_array_equal(joints, before)
 
 

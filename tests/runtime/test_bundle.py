@@ -14,18 +14,12 @@ from typing import Any
 
 import numpy as np
 import pytest
-from synthetic_bundle import (
-    bundle_files,
-    manifest_for,
-    tables_npz,
-    write_bundle,
-)
 
-from kinegraph.bundle import MAX_FILE_BYTES, read_bundle
+from kinegraph.bundle.manifest import OPTIONAL_GRAPH_FILES, FileSpec
+from kinegraph.bundle.reader import MAX_FILE_BYTES, read_bundle
+from kinegraph.bundle.verify import verify_bundle
 from kinegraph.errors import BundleError, BundleFormatError, BundleIntegrityError
-from kinegraph.manifest import FileSpec
-from kinegraph.manifest_checks import OPTIONAL_GRAPH_FILES
-from kinegraph.verify import verify_bundle
+from support.synthetic_bundle import bundle_files, manifest_for, tables_npz, write_bundle
 
 FILES = sorted(bundle_files())
 posix = pytest.mark.skipif(os.name != "posix", reason="needs POSIX file types")

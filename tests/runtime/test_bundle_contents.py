@@ -8,7 +8,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from synthetic_bundle import (
+
+from kinegraph.bundle.contract import contracts
+from kinegraph.bundle.reader import read_bundle
+from kinegraph.bundle.verify import verify_bundle
+from kinegraph.errors import BundleError, BundleFormatError
+from support.synthetic_bundle import (
     FILLER_OPERATORS,
     LEVEL_SPECS,
     bundle_files,
@@ -20,11 +25,6 @@ from synthetic_bundle import (
     tables_npz,
     write_bundle,
 )
-
-from kinegraph.bundle import read_bundle
-from kinegraph.contract import contracts
-from kinegraph.errors import BundleError, BundleFormatError
-from kinegraph.verify import verify_bundle
 
 
 @pytest.mark.parametrize(

@@ -6,11 +6,11 @@ import json
 from pathlib import Path
 
 import pytest
-from cli_runs import Parser, fails, not_loaded, whole
 
 import kinegraph
 from kinegraph import MotionPipeline, cli
-from kinegraph.bundle import DEFAULT_BUNDLE
+from kinegraph.bundle.reader import DEFAULT_BUNDLE
+from support.cli_runs import Parser, fails, not_loaded, whole
 
 needs_default = pytest.mark.skipif(
     not (DEFAULT_BUNDLE / "manifest.json").is_file(), reason="the default bundle has not been exported yet"

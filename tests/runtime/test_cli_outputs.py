@@ -10,13 +10,13 @@ import sys
 from pathlib import Path
 
 import pytest
-from cli_runs import Parser, fails
-from synthetic_bundle import bundle_files
 
 import kinegraph
 from kinegraph import MotionPipeline, cli
-from kinegraph.bundle import DEFAULT_BUNDLE
+from kinegraph.bundle.reader import DEFAULT_BUNDLE
 from kinegraph.errors import Cancelled, InvalidInputError
+from support.cli_runs import Parser, fails
+from support.synthetic_bundle import bundle_files
 
 needs_default = pytest.mark.skipif(
     not (DEFAULT_BUNDLE / "manifest.json").is_file(), reason="the default bundle has not been exported yet"

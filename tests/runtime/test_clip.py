@@ -10,13 +10,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from motions import walk
 
 import kinegraph
+from kinegraph.clip import Clip
 from kinegraph.errors import InvalidInputError, KinegraphError, OutputError
-from kinegraph.formats import WRITERS
+from kinegraph.formats import WRITERS, check_clip_target
 from kinegraph.formats.npz import read_npz
-from kinegraph.motion.clip import Clip, check_target
+from support.motions import walk
 
 GOOD = {"joints": walk(5), "fps": 20.0, "seed": 7, "text": "a person walks", "bundle": "edge 1"}
 
@@ -127,7 +127,7 @@ def test_bad_targets(tmp_path: Path, name: str, message: str) -> None:
     before = sorted(tmp_path.rglob("*"))
     target = f"{tmp_path}/{name}"
     with pytest.raises(OutputError, match=message):
-        check_target(target)
+        check_clip_target(target)
     with pytest.raises(OutputError, match=message):
         clip().save(target)
     assert sorted(tmp_path.rglob("*")) == before
@@ -139,13 +139,13 @@ def test_force_does_not_help_a_target_that_is_no_file(tmp_path: Path, name: str)
     (tmp_path / "folder.npz").mkdir()
     os.mkfifo(tmp_path / "pipe.npz")
     with pytest.raises(OutputError):
-        check_target(tmp_path / name, force=True)
+        check_clip_target(tmp_path / name, force=True)
 
 
 def test_force_replaces(tmp_path: Path) -> None:
     target = tmp_path / "there.npz"
     target.write_bytes(b"old")
-    check_target(target, True)
+    check_clip_target(target, True)
     assert target.read_bytes() == b"old"
     clip().save(target, force=True)
     assert read_npz(target).seed == 7
@@ -160,7 +160,7 @@ def test_a_link_is_followed(tmp_path: Path) -> None:
 
 
 def test_check_target_writes_nothing(tmp_path: Path) -> None:
-    check_target(tmp_path / "walk.bvh")
+    check_clip_target(tmp_path / "walk.bvh")
     assert list(tmp_path.iterdir()) == []
 
 
@@ -172,7 +172,7 @@ def test_targets_without_the_right_to_write(tmp_path: Path, monkeypatch: pytest.
     forbidden = {"folder": tmp_path, "file": target}[blocked]
     monkeypatch.setattr(os, "access", lambda path, mode: Path(path) != forbidden)
     with pytest.raises(OutputError, match=r"cannot be written|write-protected"):
-        check_target(target, force=True)
+        check_clip_target(target, force=True)
 
 
 @pytest.mark.parametrize("call", ["fsync", "open"])
@@ -199,7 +199,7 @@ def test_a_file_that_the_system_cuts_short_is_an_error_and_leaves_the_old_one(tm
     # nothing is imitated: the kernel takes the first 1,000 bytes and refuses the rest, as a disk does that fills up
     (tmp_path / "there.npz").write_bytes(b"old")
     code = (
-        "import resource, sys; from kinegraph.errors import OutputError; from kinegraph.motion.clip import Clip\n"
+        "import resource, sys; from kinegraph.errors import OutputError; from kinegraph.clip import Clip\n"
         "import numpy as np\n"
         "clip = Clip(joints=np.zeros((9, 22, 3)), fps=20, seed=1, text='x', bundle='y')\n"
         "resource.setrlimit(resource.RLIMIT_FSIZE, (1000, 1000))\n"
@@ -237,7 +237,7 @@ def test_a_file_that_comes_while_the_clip_is_written_is_kept(tmp_path: Path, mon
         target.write_text("of somebody else")
         return b"ours"
 
-    monkeypatch.setattr("kinegraph.formats.json_text.encode", slow)
+    monkeypatch.setattr("kinegraph.formats.json.encode", slow)
     with pytest.raises(OutputError, match="exists"):
         clip().save(target)
     assert target.read_text() == "of somebody else" and [each.name for each in tmp_path.iterdir()] == ["walk.json"]

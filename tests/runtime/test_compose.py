@@ -8,15 +8,15 @@ from typing import Any
 
 import numpy as np
 import pytest
-from cli_runs import fails
-from same_motion import assert_same_motion
 
 from kinegraph import Concept, InvalidInputError, MotionPipeline
-from kinegraph.bundle import DEFAULT_BUNDLE
-from kinegraph.cli_input import weighted
-from kinegraph.concepts import checked_concepts, checked_lambdas, joint_caption
-from kinegraph.diffusion.sampler import StepInfo
-from kinegraph.encoding import Encoders
+from kinegraph.bundle.reader import DEFAULT_BUNDLE
+from kinegraph.cli.inputs import weighted
+from kinegraph.concepts import joint_caption, validate_concepts, validate_lambdas
+from kinegraph.conditioning import Encoders
+from kinegraph.diffusion.sampling import StepInfo
+from support.cli_runs import fails
+from support.same_motion import assert_same_motion
 
 needs_default = pytest.mark.skipif(not (DEFAULT_BUNDLE / "manifest.json").is_file(), reason="no default bundle")
 pytest.importorskip("spacy")
@@ -214,12 +214,14 @@ def test_a_concept_without_words_is_refused(text: Any) -> None:
 
 
 def test_latent_negation_needs_no_positive_sum() -> None:
-    concepts = checked_concepts([WALK, Concept(WAVE, -1)])
-    assert checked_lambdas("latent", None, None, concepts) == (1.0, 0.0, 0.0)
+    concepts = validate_concepts([WALK, Concept(WAVE, -1)])
+    assert validate_lambdas("latent", None, None, concepts) == (1.0, 0.0, 0.0)
 
 
 def test_the_joint_sentence_names_what_should_happen() -> None:
-    concepts = checked_concepts(["A person walks.", Concept("a person runs", -0.5), "a person waves", "A person walks"])
+    concepts = validate_concepts(
+        ["A person walks.", Concept("a person runs", -0.5), "a person waves", "A person walks"]
+    )
     assert joint_caption(concepts) == "A person walks while a person waves"
     assert joint_caption(concepts[:2]) == "A person walks."
 

@@ -7,7 +7,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from kinegraph.diffusion.composition import Composition, Mixture, Wiring, composition, mixed, step_sizes
+from kinegraph.diffusion.composition import (
+    AttentionRouting,
+    CompositionWeights,
+    RowPlan,
+    combine_rows,
+    plan_rows,
+    step_sizes,
+)
 
 TOKENS, WIDTH, KEYS = 3, 4, 5
 
@@ -38,7 +45,7 @@ def network(latent: np.ndarray, shares: dict[int, float], keys: np.ndarray, valu
     return x
 
 
-def wired(latent: np.ndarray, plan: Composition, keys: np.ndarray, values: np.ndarray) -> np.ndarray:
+def wired(latent: np.ndarray, plan: RowPlan, keys: np.ndarray, values: np.ndarray) -> np.ndarray:
     """The step graph's way: attention rows from latent rows by `src`, mixed back by `combine`."""
     wiring = plan.wiring
     x = np.repeat(latent[None], len(plan.mix), axis=0)
@@ -48,7 +55,7 @@ def wired(latent: np.ndarray, plan: Composition, keys: np.ndarray, values: np.nd
             for source, context in zip(wiring.src, wiring.context, strict=True)
         ]
         x = layer(x, np.tensordot(wiring.combine, np.stack(rows), axes=1), number)
-    return mixed(x.astype(np.float32), plan.mix)[0]
+    return combine_rows(x.astype(np.float32), plan.mix)[0]
 
 
 def equations(
@@ -74,9 +81,9 @@ def equations(
     return lambdas[0] * by_latent + lambdas[1] * by_meaning + lambdas[2] * by_text
 
 
-def mixture(weights: list[float], lambdas: tuple[float, float, float], *negated: float) -> Mixture:
+def mixture(weights: list[float], lambdas: tuple[float, float, float], *negated: float) -> CompositionWeights:
     """With one joint text."""
-    return Mixture(tuple(weights), (1.0,), negated, lambdas)
+    return CompositionWeights(tuple(weights), (1.0,), negated, lambdas)
 
 
 LAMBDAS = [(1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0), (0.1, 0.7, 0.2), (0.5, 0.5, 0.0)]
@@ -91,7 +98,7 @@ def test_one_run_is_the_equations(
 ) -> None:
     keys, values = contexts(len(weights) + 3, seed=len(weights))
     latent = np.random.default_rng(9).standard_normal((TOKENS, WIDTH))
-    found = wired(latent, composition(mixture(weights, lambdas), scale, coarse=coarse), keys, values)
+    found = wired(latent, plan_rows(mixture(weights, lambdas), scale, coarse=coarse), keys, values)
     np.testing.assert_allclose(found, equations(latent, weights, lambdas, scale, keys, values, coarse), atol=2e-5)
 
 
@@ -103,12 +110,12 @@ def test_a_negation_beside_the_terms_is_eq_8_at_full_strength(
     weights, negated, scale = [0.8, 1.3], (-1.0, -0.4), 2.5
     keys, values = contexts(7, seed=8)
     latent = np.random.default_rng(9).standard_normal((TOKENS, WIDTH))
-    plan = composition(mixture(weights, lambdas, *negated), scale, coarse=coarse)
+    plan = plan_rows(mixture(weights, lambdas, *negated), scale, coarse=coarse)
     base = network(latent, {1 if coarse else 0: 1.0}, keys, values)
     # the concepts are contexts 2 and 3, the joint text 4 where it is used: wired() is told by the plan's own numbers
     first = 5 if lambdas[2] else 4
     if not lambdas[2]:
-        plan = composition(Mixture(tuple(weights), (), negated, lambdas), scale, coarse=coarse)
+        plan = plan_rows(CompositionWeights(tuple(weights), (), negated, lambdas), scale, coarse=coarse)
     taken = sum(w * (network(latent, {first + j: 1.0}, keys, values) - base) for j, w in enumerate(negated))
     expected = equations(latent, weights, lambdas, scale, keys, values, coarse) + scale * taken
     np.testing.assert_allclose(wired(latent, plan, keys, values), expected, atol=3e-5)
@@ -117,13 +124,16 @@ def test_a_negation_beside_the_terms_is_eq_8_at_full_strength(
 def test_latent_aware_negation_is_the_same_inside_and_beside() -> None:
     keys, values = contexts(5, seed=2)
     latent = np.random.default_rng(3).standard_normal((TOKENS, WIDTH))
-    plans = [composition(each, 2.0, coarse=True) for each in (Mixture((1.0, -0.7)), Mixture((1.0,), (), (-0.7,)))]
+    plans = [
+        plan_rows(each, 2.0, coarse=True)
+        for each in (CompositionWeights((1.0, -0.7)), CompositionWeights((1.0,), (), (-0.7,)))
+    ]
     inside, beside = (wired(latent, plan, keys, values) for plan in plans)
     np.testing.assert_allclose(inside, beside, atol=1e-5)
 
 
 def test_step_sizes_are_those_of_text_rows() -> None:
-    plan = composition(mixture([1.0, 0.5], (0.2, 0.3, 0.5), -1.0), 2.0, coarse=True)
+    plan = plan_rows(mixture([1.0, 0.5], (0.2, 0.3, 0.5), -1.0), 2.0, coarse=True)
     found = step_sizes(plan.wiring, (4e-4, 1e-3))
     assert found.shape == (len(plan.wiring.src), 2) and found.dtype == np.float32
     has_text = plan.wiring.context >= 2
@@ -142,7 +152,7 @@ def test_coefficients_sum_to_one(
     weights: list[float], lambdas: tuple[float, float, float], scale: float, coarse: bool
 ) -> None:
     # What all rows agree on is what comes out.
-    plan = composition(mixture(weights, lambdas), scale, coarse=coarse)
+    plan = plan_rows(mixture(weights, lambdas), scale, coarse=coarse)
     assert plan.mix.sum() == pytest.approx(1.0, abs=1e-3 * float(1 + np.abs(plan.mix).sum()))
     wiring = plan.wiring
     assert wiring.combine.shape == (len(plan.mix), len(wiring.src)) == (len(plan.mix), len(wiring.context))
@@ -154,20 +164,20 @@ def test_one_concept_of_weight_one_is_plain_guidance(lambdas: tuple[float, float
     keys, values = contexts(4, seed=4)
     keys[3], values[3] = keys[2], values[2]  # the joint text of one concept is that concept
     latent = np.random.default_rng(5).standard_normal((TOKENS, WIDTH))
-    found = wired(latent, composition(mixture([1.0], lambdas), 2.5, coarse=True), keys, values)
+    found = wired(latent, plan_rows(mixture([1.0], lambdas), 2.5, coarse=True), keys, values)
     null, text = (network(latent, {k: 1.0}, keys, values) for k in (0, 2))
     np.testing.assert_allclose(found, null + 2.5 * (text - null), atol=1e-5)
 
 
 def test_rows_that_count_for_nothing_are_not_run() -> None:
-    rows = {lambdas: len(composition(mixture([1.0, 1.0], lambdas), 2.0, coarse=False).mix) for lambdas in LAMBDAS}
+    rows = {lambdas: len(plan_rows(mixture([1.0, 1.0], lambdas), 2.0, coarse=False).mix) for lambdas in LAMBDAS}
     assert rows == dict(zip(LAMBDAS, [3, 2, 2, 5, 4], strict=True))
     # the shared coarser latent has a row of its own unless the weights sum to 1
-    assert len(composition(Mixture((1.0, 1.0)), 2.0, coarse=True).mix) == 4
-    assert len(composition(Mixture((0.3, 0.7)), 2.0, coarse=True).mix) == 3
+    assert len(plan_rows(CompositionWeights((1.0, 1.0)), 2.0, coarse=True).mix) == 4
+    assert len(plan_rows(CompositionWeights((0.3, 0.7)), 2.0, coarse=True).mix) == 3
 
 
 def test_straight_wiring_keeps_rows_apart() -> None:
-    wiring = Wiring.straight(3)
+    wiring = AttentionRouting.straight(3)
     assert wiring.src.tolist() == wiring.context.tolist() == [0, 1, 2]
     np.testing.assert_array_equal(wiring.combine, np.eye(3))

@@ -7,25 +7,24 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from kinegraph.conditions import (
+from kinegraph.bundle.contract import NODE_KINDS, NULL_KIND, PADDING_BIAS
+from kinegraph.conditioning import (
     ACTION,
     MOTION,
     NO_EDGE,
     SPECIFIC,
     GraphArrays,
     conditions,
+    drop_all,
+    drop_text,
     for_level,
-    graph_arrays,
     log_weight,
-    padded,
+    node_features,
+    pad_graphs,
     stacked,
-    without_anything,
-    without_text,
 )
-from kinegraph.contract import NODE_KINDS, NULL_KIND, PADDING_BIAS
-from kinegraph.graph import Action, Argument, SemanticGraph
-from kinegraph.text.roles import ROLE_INDEX
-from kinegraph.text.tokens import TokenIds
+from kinegraph.graph import ROLE_INDEX, Action, Argument, SemanticGraph
+from kinegraph.text.tokenizer import TokenIds
 
 CAPTION = "walks slowly and waves"
 GRAPH = SemanticGraph(
@@ -46,7 +45,7 @@ POOLED = HIDDEN.mean(axis=0)
 
 
 def arrays(graph: SemanticGraph = GRAPH) -> GraphArrays:
-    return graph_arrays(graph, TOKENS, HIDDEN, POOLED)
+    return node_features(graph, TOKENS, HIDDEN, POOLED)
 
 
 def test_nodes_are_the_sentence_and_means_over_their_pieces() -> None:
@@ -90,12 +89,12 @@ def test_a_weight_is_a_log_prior_and_none_is_a_node_that_is_not_there() -> None:
 
 
 def encoded(batch: list[GraphArrays]) -> np.ndarray:
-    return np.asarray(padded(batch)["nodes"])
+    return np.asarray(pad_graphs(batch)["nodes"])
 
 
 def test_padding_carries_no_edge_no_node_and_no_weight() -> None:
     small = arrays(SemanticGraph(CAPTION, (Action("waves", 17, 22, 0),)))
-    feeds = padded([arrays(), small])
+    feeds = pad_graphs([arrays(), small])
     assert feeds["nodes"].shape == (2, 4, 5)
     np.testing.assert_array_equal(feeds["node_mask"], [[1, 1, 1, 1], [1, 1, 0, 0]])
     assert (feeds["relation"][1, 2:] == NO_EDGE).all() and (feeds["relation"][1, :, 2:] == NO_EDGE).all()
@@ -131,11 +130,11 @@ def test_weight_zero_leaves_what_deletion_leaves() -> None:
 
 def test_no_text_is_one_null_token() -> None:
     batch = conditions([arrays()], encoded([arrays()]))
-    blank = without_text(batch)
+    blank = drop_text(batch)
     assert (blank.kind == NULL_KIND).all() and (blank.order == 0).all() and (blank.nodes == 0).all()
     np.testing.assert_array_equal(blank.bias[0], [0.0] + [PADDING_BIAS] * 3)
     # the coarser latent is seen without the text, and not in the empty set
-    nothing = without_anything(batch)
+    nothing = drop_all(batch)
     assert [float(one.coarse_bias[0, 0]) for one in (batch, blank, nothing)] == [0.0, 0.0, PADDING_BIAS]
     assert all(
         np.array_equal(a, b) for a, b in zip(list(vars(nothing).values())[:4], vars(blank).values(), strict=False)
@@ -144,6 +143,6 @@ def test_no_text_is_one_null_token() -> None:
 
 def test_stacking_keeps_rows_apart() -> None:
     batch = conditions([arrays()], encoded([arrays()]))
-    rows = stacked(without_text(batch), batch)
+    rows = stacked(drop_text(batch), batch)
     np.testing.assert_array_equal(rows.nodes[1], batch.nodes[0])
     np.testing.assert_array_equal(rows.kind[:, 0], [NULL_KIND, MOTION])

@@ -5,9 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import pytest
-from synthetic_bundle import LEVEL_SPECS, filler_model
 
-from kinegraph.contract import (
+from kinegraph.bundle.contract import (
     GRAPHS,
     LEVELS,
     OPTIONAL_GRAPHS,
@@ -17,8 +16,9 @@ from kinegraph.contract import (
     check,
     contracts,
 )
+from kinegraph.bundle.sessions import open_session, session_options
 from kinegraph.errors import BundleFormatError
-from kinegraph.sessions import open_session, session_options
+from support.synthetic_bundle import LEVEL_SPECS, filler_model
 
 EDGE = {
     "motion": LevelSpec(2, 16, 192, 4, 3, ("motion",)),

@@ -12,9 +12,9 @@ import pytest
 
 from kinegraph import Concept, MotionPipeline
 from kinegraph.bench import GRAPH
-from kinegraph.bundle import DEFAULT_BUNDLE, read_bundle
-from kinegraph.contract import LEVELS
-from kinegraph.sessions import Sessions
+from kinegraph.bundle.contract import LEVELS
+from kinegraph.bundle.reader import DEFAULT_BUNDLE, read_bundle
+from kinegraph.bundle.sessions import Sessions
 
 pytestmark = pytest.mark.skipif(not (DEFAULT_BUNDLE / "manifest.json").is_file(), reason="no default bundle")
 

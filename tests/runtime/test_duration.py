@@ -6,12 +6,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from synthetic_bundle import TEXT_WIDTH, bundle_files, tables_npz, write_bundle
 
-from kinegraph.bundle import read_bundle
-from kinegraph.conditions import ACTION, MOTION, SPECIFIC, GraphArrays
-from kinegraph.duration import EXTRA, duration_inputs, expected_frames
+from kinegraph.bundle.reader import read_bundle
+from kinegraph.bundle.tables import EXTRA
+from kinegraph.conditioning import ACTION, MOTION, SPECIFIC, GraphArrays, duration_inputs, expected_frames
 from kinegraph.errors import BundleFormatError
+from support.synthetic_bundle import TEXT_WIDTH, bundle_files, tables_npz, write_bundle
 
 WIDTH = 3
 

@@ -9,28 +9,18 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from cli_runs import fails
 from hypothesis import given
 from hypothesis import strategies as st
-from same_motion import assert_same_motion
 
 from kinegraph import Concept, InvalidGraphError, MotionPipeline, cli
-from kinegraph.bundle import DEFAULT_BUNDLE
-from kinegraph.edits import (
-    MASK,
-    STRENGTHENING,
-    edge_terms,
-    masked,
-    replaced,
-    with_action,
-    with_argument,
-    with_weight,
-    without,
-)
+from kinegraph.bundle.reader import DEFAULT_BUNDLE
+from kinegraph.concepts import UPWEIGHT_GAIN, weighted_edge_terms
+from kinegraph.edits import MASK, masked, replaced, with_action, with_argument, with_weight, without, without_words
 from kinegraph.formats.graph_svg import graph_svg
 from kinegraph.graph import MAX_WEIGHT, Action, Argument, SemanticGraph
 from kinegraph.limits import MAX_NODES
-from kinegraph.text.removal import without_words
+from support.cli_runs import fails
+from support.same_motion import assert_same_motion
 
 CAPTION = "a person walks slowly to the left and then waves slowly"
 needs_default = pytest.mark.skipif(not (DEFAULT_BUNDLE / "manifest.json").is_file(), reason="no default bundle")
@@ -98,13 +88,13 @@ def test_words_are_taken_out_so_that_the_rest_reads_on(
 
 
 def test_a_weight_scales_what_its_node_adds() -> None:
-    assert edge_terms(GRAPH) == [(GRAPH, 1.0)]
+    assert weighted_edge_terms(GRAPH) == [(GRAPH, 1.0)]
     gone = without(GRAPH, "to the left")
-    assert edge_terms(with_weight(GRAPH, "to the left", 0)) == [(gone, 1.0)]
-    assert edge_terms(with_weight(GRAPH, "to the left", 0.25)) == [(GRAPH, 0.25), (gone, 0.75)]
-    more = 2 * STRENGTHENING
-    assert edge_terms(with_weight(GRAPH, "to the left", 3)) == [(GRAPH, 1 + more), (gone, -more)]
-    both = edge_terms(with_weight(with_weight(with_weight(GRAPH, 5, 3), "waves", 0.5), 4, 0))
+    assert weighted_edge_terms(with_weight(GRAPH, "to the left", 0)) == [(gone, 1.0)]
+    assert weighted_edge_terms(with_weight(GRAPH, "to the left", 0.25)) == [(GRAPH, 0.25), (gone, 0.75)]
+    more = 2 * UPWEIGHT_GAIN
+    assert weighted_edge_terms(with_weight(GRAPH, "to the left", 3)) == [(GRAPH, 1 + more), (gone, -more)]
+    both = weighted_edge_terms(with_weight(with_weight(with_weight(GRAPH, 5, 3), "waves", 0.5), 4, 0))
     assert [graph.caption for graph, _ in both] == [
         "a person walks to the left and then waves slowly",
         "a person walks to the left",
@@ -120,9 +110,9 @@ def test_any_weights_make_plain_graphs_whose_coefficients_sum_to_one(weights: li
         graph = with_weight(graph, number, weight)
     if weights[0] == weights[1] == 0:
         with pytest.raises(InvalidGraphError, match="only action"):
-            edge_terms(graph)
+            weighted_edge_terms(graph)
         return
-    terms = edge_terms(graph)
+    terms = weighted_edge_terms(graph)
     assert all(node.weight == 1 for plain, _ in terms for node in plain.nodes)
     if 0 not in weights[:2]:
         assert sum(weight for _, weight in terms) == pytest.approx(1)
@@ -131,9 +121,9 @@ def test_any_weights_make_plain_graphs_whose_coefficients_sum_to_one(weights: li
 
 def test_the_only_action_counts_against_no_text() -> None:
     alone = without(GRAPH, "waves")
-    assert edge_terms(with_weight(alone, "walks", 0.5)) == [(alone, 0.5)]
+    assert weighted_edge_terms(with_weight(alone, "walks", 0.5)) == [(alone, 0.5)]
     with pytest.raises(InvalidGraphError, match="only action"):
-        edge_terms(with_weight(alone, "walks", 0))
+        weighted_edge_terms(with_weight(alone, "walks", 0))
 
 
 @pytest.mark.parametrize("text", ["runs", "strolls about", "x"])
@@ -271,7 +261,7 @@ def test_weight_zero_is_deletion_and_weight_one_is_nothing() -> None:
 
 
 @needs_default
-@pytest.mark.parametrize(("weight", "counts"), [(0.5, 0.5), (2.0, 1 + STRENGTHENING)])
+@pytest.mark.parametrize(("weight", "counts"), [(0.5, 0.5), (2.0, 1 + UPWEIGHT_GAIN)])
 def test_a_weight_between_is_the_latent_aware_composition_of_with_and_without(weight: float, counts: float) -> None:
     pipe = MotionPipeline.load(threads=1)
     graph = pipe.parse("a person walks slowly to the left")

@@ -7,16 +7,16 @@ from typing import Any
 
 import numpy as np
 import pytest
-from cli_runs import fails
 
 from kinegraph import Cancelled, Concept, InvalidInputError, MissingExtraError, MotionPipeline
-from kinegraph.bundle import DEFAULT_BUNDLE
-from kinegraph.denoisers import Denoisers
-from kinegraph.diffusion.energy import Plane, noise_field, plane_through, potential
-from kinegraph.diffusion.sampler import StepInfo, coarse_to_fine, initial_noise
-from kinegraph.energy import EnergyMap, EnergyMaps, axes_around, energy_maps
+from kinegraph.bundle.reader import DEFAULT_BUNDLE
+from kinegraph.denoising import Denoisers
+from kinegraph.diffusion.energy import EnergyMap, EnergyMaps, Plane, noise_field, plane_through, potential
+from kinegraph.diffusion.sampling import StepInfo, initial_noise, sample_hierarchy
+from kinegraph.energy import axes_around, energy_maps
 from kinegraph.errors import NonFiniteError, OutputError
-from kinegraph.options import generate_options
+from kinegraph.options import resolve_options
+from support.cli_runs import fails
 
 WALK, WAVE = "a person walks forward", "a person waves the right hand"
 FEW: dict[str, Any] = {"steps": (2, 2, 4), "seconds": 2, "seed": 5}
@@ -147,7 +147,7 @@ def test_a_latent_composition_is_the_sum_of_its_concepts(pipe: MotionPipeline) -
 def test_a_map_follows_the_predictions_of_generate(pipe: MotionPipeline, one_sample: tuple[int, EnergyMaps]) -> None:
     """The guided predictor of `generate`, which knows nothing of mixtures, asked place by place."""
     seed, found = one_sample
-    options = generate_options(pipe.manifest, **{**FEW, "seed": seed})
+    options = resolve_options(pipe.manifest, **{**FEW, "seed": seed})
     denoisers = Denoisers(pipe._sessions, pipe.manifest)
     encoded = pipe._encoders.conditions([pipe._encoders.arrays(pipe.parse(WALK))])
     schedule, plans = pipe.manifest.schedule.noise, denoisers.plans(options)
@@ -160,7 +160,7 @@ def test_a_map_follows_the_predictions_of_generate(pipe: MotionPipeline, one_sam
         return made["predict"]
 
     noises = [noise[None] for noise in initial_noise(seed, plans)]
-    end = coarse_to_fine(plans, noises, predictor_for, schedule)[-1][0].astype(np.float64)
+    end = sample_hierarchy(plans, noises, predictor_for, schedule)[-1][0].astype(np.float64)
     # of a plane through one sample, the axes are the first two coordinates
     signals = schedule.alphas_cumprod[schedule.timesteps(4)]
     step = int(np.argmin(np.abs(signals - 0.9)))

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 import kinegraph
-from kinegraph.bundle import DEFAULT_BUNDLE
+from kinegraph.bundle.reader import DEFAULT_BUNDLE
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
 ONE_SCREEN = 36

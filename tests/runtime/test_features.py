@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from motions import recorded, t_pose, turn, walk
 
 from kinegraph.motion import features as layout
 from kinegraph.motion.features import features_from_joints, joints_from_features, normalisation
 from kinegraph.motion.skeleton import JOINT_INDEX, bone_lengths, facing_angle, mirrored
+from support.motions import recorded, t_pose, turn, walk
 
 
 @pytest.mark.parametrize("turning", [0.0, 0.06, -0.13])

@@ -6,10 +6,20 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from motions import recorded, walk
 
-from kinegraph.motion.feet import FURTHEST, PER_JERK, RAMP, SIDES, STRETCHED, _shifts, contacts, planted_feet, two_bones
+from kinegraph.motion.postprocess import (
+    FURTHEST,
+    PER_JERK,
+    RAMP,
+    SIDES,
+    STRETCHED,
+    _shifts,
+    contacts,
+    lock_feet,
+    two_bones,
+)
 from kinegraph.motion.skeleton import JOINT_INDEX, bone_lengths
+from support.motions import recorded, walk
 
 FPS = 20.0
 TOES = [JOINT_INDEX["left_foot"], JOINT_INDEX["right_foot"]]
@@ -35,14 +45,14 @@ def slides(joints: np.ndarray, original: np.ndarray) -> float:
 @pytest.mark.parametrize("seed", range(4))
 def test_standing_toes_stand_still(seed: int) -> None:
     joints = sliding(seed)
-    fixed = planted_feet(joints, FPS)
+    fixed = lock_feet(joints, FPS)
     assert slides(joints, joints) > 0.05
     assert slides(fixed, joints) < 0.3 * slides(joints, joints)
 
 
 def test_recorded_feet_slide_less_and_nothing_else_changes() -> None:
     for joints in recorded(count=20):
-        fixed = planted_feet(joints, FPS)
+        fixed = lock_feet(joints, FPS)
         np.testing.assert_allclose(bone_lengths(fixed), bone_lengths(joints), atol=1e-4)
         legs = [joint for side in SIDES for joint in side[1:]]
         above = [joint for joint in range(22) if joint not in legs]
@@ -89,7 +99,7 @@ def test_beside_a_contact_the_toe_takes_the_path_of_least_jerk() -> None:
 
 
 def test_recorded_legs_jerk_no_more_than_before() -> None:
-    ratios = [jerk(planted_feet(joints, FPS)) / jerk(joints) for joints in recorded(count=30)]
+    ratios = [jerk(lock_feet(joints, FPS)) / jerk(joints) for joints in recorded(count=30)]
     assert np.mean(ratios) <= 1.0
 
 
@@ -138,4 +148,4 @@ def test_a_goal_where_the_ankle_is_changes_nothing() -> None:
 
 @pytest.mark.parametrize("frames", [1, 2, 3, 5])
 def test_the_shortest_clips_pass(frames: int) -> None:
-    assert planted_feet(walk(frames), FPS).shape == (frames, 22, 3)
+    assert lock_feet(walk(frames), FPS).shape == (frames, 22, 3)

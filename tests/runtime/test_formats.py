@@ -9,14 +9,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from motions import recorded, t_pose, turn, walk
 
+from kinegraph.clip import Clip
 from kinegraph.errors import InvalidInputError
 from kinegraph.formats import encode
 from kinegraph.formats.bvh import euler_zxy
 from kinegraph.formats.npz import read_npz
-from kinegraph.motion.clip import Clip
 from kinegraph.motion.skeleton import JOINT_INDEX, JOINT_NAMES, PARENTS
+from support.motions import recorded, t_pose, turn, walk
 
 
 def clip(joints: np.ndarray, fps: float = 20.0, text: str = "a person walks") -> Clip:

@@ -8,12 +8,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from motions import walk
 
+from kinegraph.clip import Clip
 from kinegraph.errors import MissingExtraError
-from kinegraph.formats import encode
-from kinegraph.formats.atomic import check_target
-from kinegraph.motion.clip import Clip
+from kinegraph.formats import check_clip_target, encode
+from support.motions import walk
 
 image = pytest.importorskip("PIL.Image")
 
@@ -56,4 +55,4 @@ def test_equal_clips_give_equal_bytes_and_odd_ones_are_drawn() -> None:
 def test_without_pillow_the_way_out_is_named(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setattr("kinegraph.formats.find_spec", lambda _: None)
     with pytest.raises(MissingExtraError, match=r"kinegraph\[plot\]"):
-        check_target(tmp_path / "walk.gif")
+        check_clip_target(tmp_path / "walk.gif")

@@ -12,17 +12,16 @@ from typing import Any
 
 import numpy as np
 import pytest
-from cli_runs import fails
-from motions import recorded, walk
-from readers import GlbReader, bvh_joints
 
+from kinegraph.clip import Clip
 from kinegraph.errors import InvalidInputError
 from kinegraph.formats import encode
-from kinegraph.formats.body import rest_body
-from kinegraph.formats.joint_names import CONVENTIONS
-from kinegraph.motion.clip import Clip
-from kinegraph.motion.rotations import rest_offsets
-from kinegraph.motion.skeleton import JOINTS, PARENTS
+from kinegraph.formats.glb_mesh import rest_body
+from kinegraph.motion.kinematics import rest_offsets
+from kinegraph.motion.skeleton import CONVENTIONS, JOINTS, PARENTS
+from support.cli_runs import fails
+from support.motions import recorded, walk
+from support.readers import GlbReader, bvh_joints
 
 
 def clip(joints: np.ndarray, text: str = "a person walks") -> Clip:

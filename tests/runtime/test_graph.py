@@ -12,9 +12,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from kinegraph.errors import InvalidGraphError, InvalidInputError
-from kinegraph.graph import MAX_WEIGHT, Action, Argument, SemanticGraph
+from kinegraph.graph import ARGUMENT_ROLES, MAX_WEIGHT, MOTION_ACTION, ROLES, Action, Argument, SemanticGraph
 from kinegraph.limits import MAX_NODES, MAX_TEXT
-from kinegraph.text.roles import ARGUMENT_ROLES, MOTION_ACTION, ROLES
 
 CAPTION = "a person walks slowly to the left"
 GRAPH = SemanticGraph(

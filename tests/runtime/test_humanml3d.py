@@ -6,14 +6,12 @@ from typing import get_args
 
 import numpy as np
 import pytest
-from motions import SHARED, recorded, t_pose, turn, walk
 
 from kinegraph.errors import InvalidInputError
 from kinegraph.motion import humanml3d as layout
-from kinegraph.motion.humanml3d import humanml3d_from_joints, joints_from_humanml3d
-from kinegraph.motion.humanml3d_skeleton import BONE_AXES, CHAINS, Heading, facing
-from kinegraph.motion.placement import placed
-from kinegraph.motion.skeleton import JOINT_INDEX, PARENTS, bone_lengths, facing_angle
+from kinegraph.motion.humanml3d import BONE_AXES, CHAINS, Heading, facing, humanml3d_from_joints, joints_from_humanml3d
+from kinegraph.motion.skeleton import JOINT_INDEX, PARENTS, bone_lengths, canonicalise, facing_angle
+from support.motions import SHARED, recorded, t_pose, turn, walk
 
 HEADINGS = get_args(Heading)
 
@@ -53,19 +51,19 @@ def test_walking_figure_comes_back(heading: Heading, turning: float) -> None:
     rows = humanml3d_from_joints(joints, heading=heading)
     assert rows.shape == (99, 263)
     assert rows.dtype == np.float32
-    np.testing.assert_allclose(joints_from_humanml3d(rows), placed(joints)[:-1], atol=2e-5)
+    np.testing.assert_allclose(joints_from_humanml3d(rows), canonicalise(joints)[:-1], atol=2e-5)
 
 
 @pytest.mark.parametrize("heading", HEADINGS)
 def test_recorded_clips_come_back(heading: Heading) -> None:
     for joints in recorded():
         back = joints_from_humanml3d(humanml3d_from_joints(joints, heading=heading))
-        assert np.linalg.norm(back - placed(joints)[:-1], axis=-1).max() <= 1e-3
+        assert np.linalg.norm(back - canonicalise(joints)[:-1], axis=-1).max() <= 1e-3
 
 
 def test_placed_moves_a_clip_and_keeps_its_shape() -> None:
     joints = walk(30, turning=0.05, heading=2.0) + np.array([3.0, 1.5, -2.0], dtype=np.float32)
-    moved = placed(joints)
+    moved = canonicalise(joints)
     np.testing.assert_allclose(moved[0, 0, [0, 2]], 0.0, atol=1e-6)
     assert moved[..., 1].min() == 0
     assert facing_angle(moved)[0] == pytest.approx(0.0, abs=1e-5)
@@ -99,7 +97,7 @@ def test_yaw_velocity_is_half_the_turn_to_the_right() -> None:
 
 
 def test_rotations_turn_the_bones() -> None:
-    joints = placed(walk(20, turning=0.05))
+    joints = canonicalise(walk(20, turning=0.05))
     rows = humanml3d_from_joints(joints, heading="true")
     columns = rows[:, layout.ROTATIONS].reshape(-1, 21, 2, 3).astype(np.float64)
     x, y = columns[..., 0, :], columns[..., 1, :]
@@ -122,7 +120,7 @@ def test_retargeting_gives_the_wanted_bones_and_keeps_the_motion() -> None:
     rows = humanml3d_from_joints(joints, heading="true", target_offsets=target)
     back = joints_from_humanml3d(rows)
     np.testing.assert_allclose(bone_lengths(back), np.broadcast_to(lengths[1:] * 1.3, (29, 21)), atol=1e-4)
-    np.testing.assert_allclose(back, placed(joints)[:-1] * 1.3, atol=5e-3)
+    np.testing.assert_allclose(back, canonicalise(joints)[:-1] * 1.3, atol=5e-3)
 
 
 def test_three_frames_are_no_special_case() -> None:

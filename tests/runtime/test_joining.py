@@ -8,15 +8,14 @@ from typing import Any
 
 import numpy as np
 import pytest
-from cli_runs import fails
-from motions import recorded, walk
 
 from kinegraph import Cancelled, InvalidInputError, MotionPipeline, cli
-from kinegraph.bundle import DEFAULT_BUNDLE
-from kinegraph.encoding import Encoders
-from kinegraph.motion.joining import BLEND_SECONDS, best_blend, best_join, joined
-from kinegraph.motion.poses import accelerations
+from kinegraph.bundle.reader import DEFAULT_BUNDLE
+from kinegraph.conditioning import Encoders
+from kinegraph.motion.blending import BLEND_SECONDS, accelerations, best_blend, best_join, stitch
 from kinegraph.motion.skeleton import JOINT_INDEX, bone_lengths, facing_angle
+from support.cli_runs import fails
+from support.motions import recorded, walk
 
 FPS = 20.0
 needs_default = pytest.mark.skipif(not (DEFAULT_BUNDLE / "manifest.json").is_file(), reason="no default bundle")
@@ -25,7 +24,7 @@ FEW: dict[str, Any] = {"steps": (3, 3, 4), "seed": 4}
 
 def test_one_clip_is_itself() -> None:
     clip = walk(40)
-    np.testing.assert_array_equal(joined([clip], FPS), clip)
+    np.testing.assert_array_equal(stitch([clip], FPS), clip)
 
 
 def test_two_halves_of_a_walk_become_the_walk_again() -> None:
@@ -34,14 +33,14 @@ def test_two_halves_of_a_walk_become_the_walk_again() -> None:
     second = second - second[:1, :1] * np.array([1, 0, 1])  # from its own origin, as every clip is
     a, b = best_join(first, second, 10, FPS)
     assert (a - b) % 18 in (3, 4, 5) or abs(a - (40 + b)) <= 1  # the same phase of the step (18 frames)
-    found = joined([first, second], FPS)
+    found = stitch([first, second], FPS)
     assert accelerations(found, FPS).max() < 1.5 * accelerations(whole, FPS).max()
 
 
 @pytest.mark.parametrize("headings", [(0.0, 2.0), (1.0, -3.0)])
 def test_the_second_clip_goes_on_where_the_first_looks(headings: tuple[float, float]) -> None:
     first, second = (walk(60, heading=angle) for angle in headings)
-    found = joined([first, second], FPS)
+    found = stitch([first, second], FPS)
     assert np.abs(facing_angle(found) - facing_angle(first)[0]).max() < 0.3
     steps = np.linalg.norm(np.diff(found[:, 0][:, [0, 2]], axis=0), axis=-1)
     np.testing.assert_allclose(steps[2:-2], 0.05, atol=0.03)
@@ -50,7 +49,7 @@ def test_the_second_clip_goes_on_where_the_first_looks(headings: tuple[float, fl
 def test_recorded_clips_join_without_a_jump() -> None:
     clips = recorded(count=24)
     for first, second in zip(clips[::2], clips[1::2], strict=False):
-        found = joined([first, second], FPS)
+        found = stitch([first, second], FPS)
         assert np.isfinite(found).all() and len(found) >= 0.5 * (len(first) + len(second))
         own = np.concatenate([accelerations(first, FPS), accelerations(second, FPS)])
         blend = best_blend(first, second, FPS)
@@ -70,7 +69,7 @@ def test_hands_that_have_far_to_go_take_longer() -> None:
     swaying = 0.002 * np.sin(np.arange(60) / 2).astype(np.float32)[:, None, None]
     clips = [low + swaying, high + swaying]
     assert best_blend(*clips, FPS).frames == round(BLEND_SECONDS[-1] * FPS) > best_blend(clips[0], clips[0], FPS).frames
-    found = joined(clips, FPS)
+    found = stitch(clips, FPS)
     # the arm goes round, it does not shrink
     lengths = bone_lengths(found)
     np.testing.assert_allclose(lengths, np.broadcast_to(lengths[:1], lengths.shape), atol=2e-3)
@@ -79,7 +78,7 @@ def test_hands_that_have_far_to_go_take_longer() -> None:
 def test_feet_stand_while_one_clip_becomes_the_next_unless_they_are_left_alone() -> None:
     drift = 0.002 * np.arange(40, dtype=np.float32)[:, None, None] * np.array([1, 0, 0], dtype=np.float32)
     clips = [np.repeat(walk(1), 40, axis=0) + sign * drift for sign in (1, -1)]
-    held, left = joined(clips, FPS), joined(clips, FPS, foot_fix=False)
+    held, left = stitch(clips, FPS), stitch(clips, FPS, foot_fix=False)
     for toe in (JOINT_INDEX["left_foot"], JOINT_INDEX["right_foot"]):
         speed = [np.linalg.norm(np.diff(found[:, toe][:, [0, 2]], axis=0), axis=-1) * FPS for found in (held, left)]
         assert speed[0].mean() < 0.1 * speed[1].mean()
@@ -88,7 +87,7 @@ def test_feet_stand_while_one_clip_becomes_the_next_unless_they_are_left_alone()
 
 @pytest.mark.parametrize("frames", [2, 4, 9])
 def test_short_clips_join(frames: int) -> None:
-    found = joined([walk(frames), walk(30), walk(frames)], FPS)
+    found = stitch([walk(frames), walk(30), walk(frames)], FPS)
     assert found.shape[1:] == (22, 3) and np.isfinite(found).all()
 
 

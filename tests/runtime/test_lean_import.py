@@ -83,7 +83,7 @@ def test_import_loads_nothing_heavy_and_changes_nothing() -> None:
 
 def test_nothing_of_this_machine_is_told_to_anybody(tmp_path: Path) -> None:
     """onnxruntime's telemetry begins with a number of the device in the user's home, written by native code."""
-    run("import kinegraph.sessions\n", HOME=str(tmp_path), XDG_CACHE_HOME=str(tmp_path))
+    run("import kinegraph.bundle.sessions\n", HOME=str(tmp_path), XDG_CACHE_HOME=str(tmp_path))
     assert [*tmp_path.rglob("*")] == []
 
 

@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from motions import recorded, walk
 
+from kinegraph.clip import Clip
 from kinegraph.errors import InvalidInputError
 from kinegraph.formats import encode
-from kinegraph.motion.clip import Clip
-from kinegraph.motion.feet import contacts
-from kinegraph.motion.poses import accelerations, local_poses
+from kinegraph.motion.blending import accelerations, local_poses
+from kinegraph.motion.postprocess import contacts
 from kinegraph.motion.skeleton import JOINT_INDEX, bone_lengths, facing_angle
+from support.motions import recorded, walk
 
 FPS = 20.0
 TOES = (JOINT_INDEX["left_foot"], JOINT_INDEX["right_foot"])

@@ -8,11 +8,11 @@ import json
 from typing import Any
 
 import pytest
-from manifests import ALL_PATHS, GOOD, changed, dotted, leaf
-from synthetic_bundle import bundle_files, manifest_for, sealed
 
+from kinegraph.bundle.manifest import Manifest, decode_manifest, to_json
 from kinegraph.errors import BundleFormatError
-from kinegraph.manifest import Manifest, decode_manifest, to_json
+from support.manifests import ALL_PATHS, GOOD, changed, dotted, leaf
+from support.synthetic_bundle import bundle_files, manifest_for, sealed
 
 FREE_MAPS = {("provenance",), ("scope",), ("parity",), ("training",), ("quality",)}
 OPTIONAL = [("files", name) for name in ("parser.bin", "decoder_motion.onnx", "decoder_action.onnx")]

@@ -9,11 +9,11 @@ from typing import Any
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from manifests import ALL_PATHS, changed
-from synthetic_bundle import bundle_files, manifest_for, sealed
 
+from kinegraph.bundle.manifest import decode_manifest, seal, to_json
 from kinegraph.errors import BundleError, BundleFormatError, BundleIntegrityError
-from kinegraph.manifest import decode_manifest, seal, to_json
+from support.manifests import ALL_PATHS, changed
+from support.synthetic_bundle import bundle_files, manifest_for, sealed
 
 
 @pytest.mark.parametrize("token", ["NaN", "Infinity", "-Infinity", "1e999", "1" + "0" * 400])

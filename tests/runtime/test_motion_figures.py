@@ -6,14 +6,13 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
-from motions import largest_twist, recorded
 
 from kinegraph import MotionPipeline
-from kinegraph.bundle import DEFAULT_BUNDLE
-from kinegraph.motion.joining import best_blend
-from kinegraph.motion.poses import accelerations
-from kinegraph.motion.rotations import forward_kinematics, solve_rotations
+from kinegraph.bundle.reader import DEFAULT_BUNDLE
+from kinegraph.motion.blending import accelerations, best_blend
+from kinegraph.motion.kinematics import forward_kinematics, rotations_from_positions
 from kinegraph.motion.skeleton import bone_lengths
+from support.motions import largest_twist, recorded
 
 MEAN_MM, MAX_MM = 5.0, 15.0
 """Between joints and the skeleton that is solved from them."""
@@ -53,7 +52,7 @@ def pipe() -> MotionPipeline:
 def check_rotations(clips: list[np.ndarray], name: str, figure: Callable[[str], None]) -> None:
     errors = []
     for joints in clips:
-        motion = solve_rotations(joints, FPS)
+        motion = rotations_from_positions(joints, FPS)
         places = forward_kinematics(motion.rest_offsets, motion.root, motion.rotations)
         errors.append(np.linalg.norm(places - joints, axis=-1).ravel() * 1000)
     twist = max(map(largest_twist, clips))

@@ -9,11 +9,11 @@ from typing import Any
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from synthetic_bundle import LEVEL_SPECS, field, filler_model, model, node
 
-from kinegraph.contract import contracts
+from kinegraph.bundle.contract import contracts
+from kinegraph.bundle.onnx_inspect import check_self_contained, summarise
 from kinegraph.errors import BundleFormatError
-from kinegraph.onnx_ops import check_self_contained, summarise
+from support.synthetic_bundle import LEVEL_SPECS, field, filler_model, model, node
 
 CONTRACTS = contracts(LEVEL_SPECS, 12, 137)
 

@@ -11,12 +11,12 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from synthetic_bundle import bundle_files, manifest_for
 
-from kinegraph.contract import LEVELS
+from kinegraph.bundle.contract import LEVELS
+from kinegraph.bundle.manifest import Manifest, ScheduleSpec
 from kinegraph.errors import InvalidInputError
-from kinegraph.manifest import Manifest, ScheduleSpec
-from kinegraph.options import GenerateOptions, frame_count, generate_options
+from kinegraph.options import GenerateOptions, frame_count, resolve_options
+from support.synthetic_bundle import bundle_files, manifest_for
 
 TOY = manifest_for(bundle_files())
 EDGE = dataclasses.replace(
@@ -28,7 +28,7 @@ EDGE = dataclasses.replace(
 
 
 def test_defaults_are_the_bundles() -> None:
-    options = generate_options(TOY, seed=3)
+    options = resolve_options(TOY, seed=3)
     assert options == GenerateOptions(
         frames=20,
         seconds=1.0,
@@ -39,7 +39,7 @@ def test_defaults_are_the_bundles() -> None:
 
 
 def test_nothing_can_be_changed() -> None:
-    options = generate_options(TOY, steps=4)
+    options = resolve_options(TOY, steps=4)
     with pytest.raises(dataclasses.FrozenInstanceError):
         options.seed = 3  # type: ignore[misc]
     with pytest.raises(TypeError):
@@ -59,7 +59,7 @@ def test_nothing_can_be_changed() -> None:
     ],
 )
 def test_seconds_become_frames(seconds: float, frames: int) -> None:
-    options = generate_options(EDGE, seconds=seconds)
+    options = resolve_options(EDGE, seconds=seconds)
     assert (options.frames, options.seconds) == (frames, frames / 20)
 
 
@@ -100,7 +100,7 @@ def test_bad_seconds_name_the_limits(seconds: object) -> None:
 
 @pytest.mark.parametrize("seed", [0, 1, 2**63 - 1, np.int64(7), np.uint8(200)])
 def test_seeds_are_kept(seed: int) -> None:
-    options = generate_options(TOY, seed=seed)
+    options = resolve_options(TOY, seed=seed)
     assert options.seed == seed
     assert type(options.seed) is int
 
@@ -112,13 +112,13 @@ def test_seeds_are_kept(seed: int) -> None:
 )
 def test_bad_seeds_are_refused(seed: object) -> None:
     with pytest.raises(InvalidInputError, match=r"seed must be a whole number from 0 to 2\*\*63 - 1") as caught:
-        generate_options(TOY, seed=seed)  # type: ignore[arg-type]
+        resolve_options(TOY, seed=seed)  # type: ignore[arg-type]
     assert len(str(caught.value)) < 200
 
 
 def test_without_a_seed_every_call_draws_one_and_leaves_global_state_alone() -> None:
     before = np.random.get_state()[1].copy()  # noqa: NPY002 - the legacy state is what must not move
-    seeds = {generate_options(TOY).seed for _ in range(50)}
+    seeds = {resolve_options(TOY).seed for _ in range(50)}
     assert len(seeds) > 45
     assert all(0 <= seed < 2**32 for seed in seeds)
     np.testing.assert_array_equal(before, np.random.get_state()[1])  # noqa: NPY002
@@ -136,7 +136,7 @@ def test_without_a_seed_every_call_draws_one_and_leaves_global_state_alone() -> 
     ],
 )
 def test_steps_for_all_or_per_level(steps: object, expected: tuple[int, ...]) -> None:
-    found = generate_options(EDGE, steps=steps).steps  # type: ignore[arg-type]
+    found = resolve_options(EDGE, steps=steps).steps  # type: ignore[arg-type]
     assert tuple(found[level] for level in LEVELS) == expected
     assert tuple(found) == LEVELS
 
@@ -165,17 +165,17 @@ def test_steps_for_all_or_per_level(steps: object, expected: tuple[int, ...]) ->
 )
 def test_bad_steps_are_refused(steps: object) -> None:
     with pytest.raises(InvalidInputError, match=r"^steps") as caught:
-        generate_options(EDGE, steps=steps)  # type: ignore[arg-type]
+        resolve_options(EDGE, steps=steps)  # type: ignore[arg-type]
     assert len(str(caught.value)) < 200
 
 
 def test_steps_beyond_the_table_are_refused() -> None:
     """With an offset of 1, 1000 leading steps would ask for the timestep 1000 of a table of 0 to 999."""
-    assert generate_options(EDGE, steps=999).steps["motion"] == 999
+    assert resolve_options(EDGE, steps=999).steps["motion"] == 999
     with pytest.raises(InvalidInputError, match=r"steps of level motion: .*timestep 1000"):
-        generate_options(EDGE, steps=1000)
+        resolve_options(EDGE, steps=1000)
     trailing = dataclasses.replace(EDGE, schedule=dataclasses.replace(EDGE.schedule, spacing="trailing"))
-    assert generate_options(trailing, steps=1000).steps["motion"] == 1000
+    assert resolve_options(trailing, steps=1000).steps["motion"] == 1000
 
 
 @pytest.mark.parametrize(
@@ -183,7 +183,7 @@ def test_steps_beyond_the_table_are_refused() -> None:
     [(0, (0, 0, 0)), (20, (20, 20, 20)), ((1, 2.5, 3), (1, 2.5, 3)), ({"motion": 1}, (1, 2.5, 2.5))],
 )
 def test_guidance_for_all_or_per_level(guidance: object, expected: tuple[float, ...]) -> None:
-    found = generate_options(EDGE, guidance=guidance).guidance  # type: ignore[arg-type]
+    found = resolve_options(EDGE, guidance=guidance).guidance  # type: ignore[arg-type]
     assert tuple(found[level] for level in LEVELS) == expected
     assert all(type(value) is float for value in found.values())
 
@@ -207,7 +207,7 @@ def test_guidance_for_all_or_per_level(guidance: object, expected: tuple[float, 
 )
 def test_bad_guidance_is_refused(guidance: object) -> None:
     with pytest.raises(InvalidInputError, match=r"^guidance"):
-        generate_options(EDGE, guidance=guidance)  # type: ignore[arg-type]
+        resolve_options(EDGE, guidance=guidance)  # type: ignore[arg-type]
 
 
 SCALARS = (
@@ -239,7 +239,7 @@ def test_any_wish_gives_valid_options_or_a_typed_error(
         {"guidance": guidance},
     ):
         try:
-            options = generate_options(EDGE, **given_options)  # type: ignore[arg-type]
+            options = resolve_options(EDGE, **given_options)  # type: ignore[arg-type]
         except InvalidInputError:
             continue
         check_valid(options, EDGE)

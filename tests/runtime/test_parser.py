@@ -10,12 +10,12 @@ from pathlib import Path
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from motions import SHARED
 
 import kinegraph
 from kinegraph.errors import InvalidInputError
 from kinegraph.graph import SemanticGraph
 from kinegraph.limits import MAX_NODES, MAX_TEXT
+from support.motions import SHARED
 
 pytest.importorskip("spacy")
 
@@ -196,7 +196,7 @@ def test_bytes_that_are_no_parser_are_refused(wrong: bytes) -> None:
 
 
 def test_agreement_with_the_released_graphs_does_not_fall(parser: GraphParser, tmp_path: Path) -> None:
-    # Measured by rules alone, all captions; `benchmarks/parser_accuracy.py` measures the linear model on top.
+    # Rules alone, all captions; `kinegraph_benchmarks.quality.parser_accuracy` measures the linear model on top.
     gold = SHARED / "graphs" / "kit_gold_dev.jsonl"
     if not gold.is_file():
         pytest.skip("gold graphs (../shared/graphs) are not at hand")

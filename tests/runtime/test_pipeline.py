@@ -14,14 +14,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from same_motion import assert_same_motion
 
 import kinegraph
 from kinegraph import MotionPipeline
-from kinegraph.diffusion.sampler import StepInfo
+from kinegraph.conditioning import Encoders
+from kinegraph.diffusion.sampling import StepInfo
 from kinegraph.edits import with_weight
-from kinegraph.encoding import Encoders
 from kinegraph.errors import Cancelled, InvalidInputError
+from support.same_motion import assert_same_motion
 
 RUNTIME = Path(kinegraph.__file__).resolve().parents[1]
 BUNDLE = RUNTIME / "kinegraph" / "bundles" / "default"

@@ -13,18 +13,18 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from cli_runs import fails
-from playing import TEXT, WISH, Playing
 
 import kinegraph
 from kinegraph import MotionPipeline, cli
 from kinegraph.errors import Cancelled
+from support.cli_runs import fails
+from support.playing import TEXT, WISH, Playing
 
 pytest.importorskip("spacy")
 pytest.importorskip("starlette")
 pytest.importorskip("uvicorn")
 
-from kinegraph.play.turns import MAX_PER_TAB
+from kinegraph.playground.fair_queue import MAX_PER_TAB
 
 RUNTIME = Path(kinegraph.__file__).resolve().parents[1]
 LONG = {**WISH, "seconds": 9.8, "steps": 900}

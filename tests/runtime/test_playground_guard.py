@@ -9,8 +9,9 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from cli_runs import fails, whole
-from playing import TEXT, WISH, Playing
+
+from support.cli_runs import fails, whole
+from support.playing import TEXT, WISH, Playing
 
 pytest.importorskip("spacy")
 pytest.importorskip("starlette")

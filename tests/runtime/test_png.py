@@ -7,12 +7,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from motions import walk
 
+from kinegraph.clip import Clip
 from kinegraph.errors import MissingExtraError
-from kinegraph.formats import encode
-from kinegraph.formats.atomic import check_target
-from kinegraph.motion.clip import Clip
+from kinegraph.formats import check_clip_target, encode
+from support.motions import walk
 
 
 def clip(joints: np.ndarray, text: str = "a person walks") -> Clip:
@@ -61,6 +60,6 @@ def test_without_matplotlib_the_way_out_is_named(monkeypatch: pytest.MonkeyPatch
     with pytest.raises(MissingExtraError, match=r"kinegraph\[plot\]"):
         clip(walk(20)).save(tmp_path / "clip.png")
     with pytest.raises(MissingExtraError):  # before anything is computed
-        check_target(tmp_path / "clip.png")
-    check_target(tmp_path / "clip.bvh")
+        check_clip_target(tmp_path / "clip.png")
+    check_clip_target(tmp_path / "clip.bvh")
     assert list(tmp_path.iterdir()) == []

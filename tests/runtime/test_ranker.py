@@ -13,9 +13,16 @@ from hypothesis import strategies as st
 
 import kinegraph
 from kinegraph.errors import BundleFormatError, InvalidInputError
+from kinegraph.graph import ARGUMENT_ROLES
 from kinegraph.limits import MAX_NODES
-from kinegraph.text.ranker import CLASSES, ArgumentRanker, Candidates, heaviest, packed, provenance_of
-from kinegraph.text.roles import ARGUMENT_ROLES
+from kinegraph.text.argument_classifier import (
+    CLASSES,
+    ArgumentClassifier,
+    Candidates,
+    packed,
+    provenance_of,
+    weighted_interval_scheduling,
+)
 
 FILE = Path(kinegraph.__file__).parent / "bundles" / "default" / "parser.bin"
 
@@ -37,7 +44,7 @@ def weights_for(**roles: str) -> bytes:
 )
 def test_the_best_set_of_spans_is_that_of_trying_all(rows: list[tuple[int, int, int]]) -> None:
     spans, gains = [row[:2] for row in rows], [float(row[2]) for row in rows]
-    chosen = heaviest(spans, gains)
+    chosen = weighted_interval_scheduling(spans, gains)
     most = 0.0
     for size in range(len(rows) + 1):
         for places in combinations(range(len(rows)), size):
@@ -48,7 +55,7 @@ def test_the_best_set_of_spans_is_that_of_trying_all(rows: list[tuple[int, int, 
 
 
 def test_scores_are_sums_and_unknown_features_count_nothing() -> None:
-    ranker = ArgumentRanker(weights_for(who="ARG0", where="ARGM-LOC"))
+    ranker = ArgumentClassifier(weights_for(who="ARG0", where="ARGM-LOC"))
     scores = ranker.scores([["who", "never seen"], [], ["who", "where"]])
     assert scores[0, ARGUMENT_ROLES.index("ARG0") + 1] == 8.0
     assert not scores[1].any()
@@ -56,7 +63,7 @@ def test_scores_are_sums_and_unknown_features_count_nothing() -> None:
 
 
 def test_spans_that_overlap_are_not_both_taken() -> None:
-    ranker = ArgumentRanker(weights_for(who="ARG0", where="ARGM-LOC"))
+    ranker = ArgumentClassifier(weights_for(who="ARG0", where="ARGM-LOC"))
     found = Candidates([(0, 1, 1), (1, 3, 2), (5, 6, 5)], [["who"], ["where", "where"], ["where"]])
     choice = ranker.choose(found)
     assert choice.taken == [("ARGM-LOC", (1, 3)), ("ARGM-LOC", (5, 6))]
@@ -96,8 +103,8 @@ def npz(**changes: np.ndarray) -> bytes:
 )
 def test_bytes_that_are_no_weights_are_refused(data: bytes) -> None:
     with pytest.raises(BundleFormatError):
-        ArgumentRanker(data)
-    assert ArgumentRanker(npz()).scores([["a"]]).shape == (1, CLASSES)
+        ArgumentClassifier(data)
+    assert ArgumentClassifier(npz()).scores([["a"]]).shape == (1, CLASSES)
 
 
 @pytest.fixture(scope="module")

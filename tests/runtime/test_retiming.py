@@ -6,15 +6,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from cli_runs import fails
-from motions import largest_twist, recorded, walk
 
 from kinegraph import cli
-from kinegraph.bundle import DEFAULT_BUNDLE
+from kinegraph.bundle.reader import DEFAULT_BUNDLE
+from kinegraph.clip import Clip
 from kinegraph.errors import InvalidInputError
-from kinegraph.motion.clip import Clip
-from kinegraph.motion.poses import local_poses
+from kinegraph.motion.blending import local_poses
 from kinegraph.motion.skeleton import bone_lengths, facing_angle
+from support.cli_runs import fails
+from support.motions import largest_twist, recorded, walk
 
 
 def clip(joints: np.ndarray) -> Clip:

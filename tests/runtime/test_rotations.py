@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from motions import posed, recorded, t_pose, turn, walk
 
 from kinegraph.motion import quaternions as q
-from kinegraph.motion.rotations import REST_DIRECTIONS, forward_kinematics, rest_offsets, solve_rotations
+from kinegraph.motion.kinematics import REST_DIRECTIONS, forward_kinematics, rest_offsets, rotations_from_positions
 from kinegraph.motion.skeleton import JOINT_INDEX, PARENTS, bone_lengths, facing_angle
+from support.motions import posed, recorded, t_pose, turn, walk
 
 angles = st.floats(-3.1, 3.1)
 
@@ -109,7 +109,7 @@ def test_quaternions_keep_float32() -> None:
 @pytest.mark.parametrize("turning", [0.0, 0.09])
 def test_a_rigid_figure_is_reproduced(turning: float) -> None:
     joints = walk(80, turning=turning)
-    motion = solve_rotations(joints, 20.0)
+    motion = rotations_from_positions(joints, 20.0)
     places = independent_fk(motion.rest_offsets, motion.root, motion.rotations)
     np.testing.assert_allclose(places, joints, atol=1e-4)
     np.testing.assert_allclose(
@@ -121,7 +121,7 @@ def test_a_rigid_figure_is_reproduced(turning: float) -> None:
 
 def test_recorded_clips_are_reproduced() -> None:
     for joints in recorded(count=40):
-        motion = solve_rotations(joints, 20.0)
+        motion = rotations_from_positions(joints, 20.0)
         places = forward_kinematics(motion.rest_offsets, motion.root, motion.rotations)
         error = np.linalg.norm(places - joints, axis=-1)
         assert error.mean() < 5e-3
@@ -131,7 +131,7 @@ def test_recorded_clips_are_reproduced() -> None:
 def test_the_error_is_that_of_the_bones_that_change_length() -> None:
     rng = np.random.default_rng(1)
     joints = walk(40) + rng.normal(0.0, 0.01, size=(40, 22, 3)).astype(np.float32)
-    motion = solve_rotations(joints, 20.0)
+    motion = rotations_from_positions(joints, 20.0)
     places = independent_fk(motion.rest_offsets, motion.root, motion.rotations)
     np.testing.assert_allclose(motion.error, np.linalg.norm(places - joints, axis=-1), atol=1e-6)
     # Joints are aimed at one by one, so the noise of 1 cm does not add up along the limbs.
@@ -143,7 +143,7 @@ def test_the_t_pose_needs_no_turns_but_its_bend_of_the_limbs() -> None:
     lengths = np.full(22, 0.2)
     still = np.tile(q.IDENTITY, (3, 22, 1))
     joints = forward_kinematics(REST_DIRECTIONS * lengths[:, None], np.zeros((3, 3)), still)
-    motion = solve_rotations(joints, 20.0)
+    motion = rotations_from_positions(joints, 20.0)
     np.testing.assert_allclose(motion.rotations, np.tile(q.IDENTITY, (3, 22, 1)), atol=1e-6)
     np.testing.assert_allclose(motion.error, 0.0, atol=1e-9)
 
@@ -162,7 +162,7 @@ def test_rest_offsets_have_the_mean_lengths_and_stand_upright() -> None:
 @pytest.mark.parametrize("heading", [0.0, 1.2, 3.0])
 def test_the_pelvis_turns_with_the_body(heading: float) -> None:
     joints = walk(40, turning=0.05, heading=heading)
-    ahead = q.rotate(solve_rotations(joints, 20.0).rotations[:, 0], np.array([0.0, 0.0, 1.0]))
+    ahead = q.rotate(rotations_from_positions(joints, 20.0).rotations[:, 0], np.array([0.0, 0.0, 1.0]))
     difference = np.arctan2(ahead[:, 0], ahead[:, 2]) - facing_angle(joints)
     wrapped = np.angle(np.exp(1j * difference))
     # The shoulders of the figure swing against its hips.
@@ -171,7 +171,7 @@ def test_the_pelvis_turns_with_the_body(heading: float) -> None:
 
 def test_the_upper_body_follows_the_shoulders_when_it_twists() -> None:
     poses = [posed(np.zeros(3), {3: turn("y", angle)}) for angle in (0.0, 0.4, 0.8)]
-    motion = solve_rotations(np.stack(poses), 20.0)
+    motion = rotations_from_positions(np.stack(poses), 20.0)
     chest = motion.rotations[:, 0]
     for joint in ("spine1", "spine2", "spine3"):
         chest = q.multiply(chest, motion.rotations[:, JOINT_INDEX[joint]])
@@ -181,8 +181,8 @@ def test_the_upper_body_follows_the_shoulders_when_it_twists() -> None:
 
 
 def test_one_frame_and_bones_without_length() -> None:
-    single = solve_rotations(t_pose(1), 20.0)
+    single = rotations_from_positions(t_pose(1), 20.0)
     assert single.error.max() < 1e-5
-    nothing = solve_rotations(np.zeros((3, 22, 3)), 20.0)
+    nothing = rotations_from_positions(np.zeros((3, 22, 3)), 20.0)
     assert np.isfinite(nothing.rotations).all()
     assert nothing.error.max() == 0

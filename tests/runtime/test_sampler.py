@@ -5,9 +5,16 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from kinegraph.diffusion.ddim import DdimCoefficients, ddim_coefficients
-from kinegraph.diffusion.sampler import LevelPlan, StepInfo, coarse_to_fine, initial_noise, sample_level
-from kinegraph.diffusion.schedule import NoiseSchedule
+from kinegraph.diffusion.sampling import (
+    DdimCoefficients,
+    LevelPlan,
+    NoiseSchedule,
+    StepInfo,
+    ddim_coefficients,
+    initial_noise,
+    sample_hierarchy,
+    sample_level,
+)
 from kinegraph.errors import Cancelled, NonFiniteError
 
 PLANS = (LevelPlan("motion", 2, 3, 3), LevelPlan("action", 4, 3, 2), LevelPlan("specific", 8, 3, 4))
@@ -28,7 +35,7 @@ def predictor(number: int, coefficients: DdimCoefficients, coarse: np.ndarray | 
 
 def test_every_step_of_every_level_is_told_in_order() -> None:
     seen: list[StepInfo] = []
-    coarse_to_fine(PLANS, noises(1), predictor, SCHEDULE, seen.append)
+    sample_hierarchy(PLANS, noises(1), predictor, SCHEDULE, seen.append)
     assert [(info.level, info.step, info.steps) for info in seen] == [
         (plan.name, step, plan.steps) for plan in PLANS for step in range(1, plan.steps + 1)
     ]
@@ -40,7 +47,7 @@ def test_every_step_of_every_level_is_told_in_order() -> None:
 def test_every_level_is_told_with_its_final_latent_before_the_next_begins() -> None:
     told: list[tuple[str, np.ndarray, int]] = []
     steps: list[StepInfo] = []
-    latents = coarse_to_fine(
+    latents = sample_hierarchy(
         PLANS, noises(1, 2), predictor, SCHEDULE, steps.append, lambda *level: told.append((*level, len(steps)))
     )
     assert [(level, done) for level, _, done in told] == [("motion", 3), ("action", 5), ("specific", 9)]
@@ -57,14 +64,14 @@ def test_false_stops_at_once(stop: int) -> None:
         return info.done < stop
 
     with pytest.raises(Cancelled, match=f"step {stop} of 9"):
-        coarse_to_fine(PLANS, noises(1), predictor, SCHEDULE, on_step)
+        sample_hierarchy(PLANS, noises(1), predictor, SCHEDULE, on_step)
     assert calls == list(range(1, stop + 1))
 
 
 @pytest.mark.parametrize("answer", [None, True, 0])
 def test_only_false_stops(answer: object) -> None:
     # 0 is not False: `lambda info: bar.update()` may return anything.
-    coarse_to_fine(PLANS, noises(1), predictor, SCHEDULE, lambda info: answer)  # type: ignore[arg-type, return-value]
+    sample_hierarchy(PLANS, noises(1), predictor, SCHEDULE, lambda info: answer)  # type: ignore[arg-type, return-value]
 
 
 def test_each_level_sees_the_final_latent_above_it() -> None:
@@ -74,7 +81,7 @@ def test_each_level_sees_the_final_latent_above_it() -> None:
         handed.append(coarse)
         return predictor(number, coefficients, coarse)
 
-    latents = coarse_to_fine(PLANS, noises(5), spy, SCHEDULE)
+    latents = sample_hierarchy(PLANS, noises(5), spy, SCHEDULE)
     assert handed[0] is None
     np.testing.assert_array_equal(handed[1], latents[0])
     np.testing.assert_array_equal(handed[2], latents[1])
@@ -96,8 +103,8 @@ def test_the_loop_is_the_update_rule_repeated() -> None:
 
 
 def test_a_sample_is_the_same_alone_and_among_neighbours() -> None:
-    alone = coarse_to_fine(PLANS, noises(8), predictor, SCHEDULE)
-    among = coarse_to_fine(PLANS, noises(3, 8, 4), predictor, SCHEDULE)
+    alone = sample_hierarchy(PLANS, noises(8), predictor, SCHEDULE)
+    among = sample_hierarchy(PLANS, noises(3, 8, 4), predictor, SCHEDULE)
     for one, many in zip(alone, among, strict=True):
         assert one[0].tobytes() == many[1].tobytes()
 
@@ -118,4 +125,4 @@ def test_a_latent_that_explodes_names_its_level() -> None:
         return lambda latent, step: latent * np.float32(np.nan if number == 1 else 1.0)
 
     with pytest.raises(NonFiniteError, match="action"):
-        coarse_to_fine(PLANS, noises(1), broken, SCHEDULE)
+        sample_hierarchy(PLANS, noises(1), broken, SCHEDULE)

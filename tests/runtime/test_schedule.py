@@ -6,12 +6,10 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from motions import SHARED
 
-from kinegraph.diffusion.ddim import ddim_coefficients, ddim_step
-from kinegraph.diffusion.guidance import guided
-from kinegraph.diffusion.schedule import NoiseSchedule
+from kinegraph.diffusion.sampling import NoiseSchedule, ddim_coefficients, ddim_step, guide
 from kinegraph.errors import InvalidInputError
+from support.motions import SHARED
 
 OFFICIAL = SHARED / "fixtures" / "official" / "ddim_schedule.npz"
 
@@ -119,6 +117,6 @@ def test_a_perfect_prediction_leads_to_the_clean_latent() -> None:
 def test_guidance_of_one_is_the_condition_and_of_zero_none() -> None:
     rng = np.random.default_rng(0)
     without, within = rng.standard_normal((2, 4, 4), dtype=np.float32)
-    np.testing.assert_allclose(guided(without, within, 1.0), within, atol=1e-6)
-    np.testing.assert_array_equal(guided(without, within, 0.0), without)
-    np.testing.assert_allclose(guided(without, within, 2.5), 2.5 * within - 1.5 * without, atol=1e-5)
+    np.testing.assert_allclose(guide(without, within, 1.0), within, atol=1e-6)
+    np.testing.assert_array_equal(guide(without, within, 0.0), without)
+    np.testing.assert_allclose(guide(without, within, 2.5), 2.5 * within - 1.5 * without, atol=1e-5)

@@ -7,12 +7,12 @@ from pathlib import Path
 
 import onnxruntime
 import pytest
-from synthetic_bundle import LEVEL_SPECS, bundle_files, filler_model, write_bundle
 
-from kinegraph.bundle import Bundle, read_bundle
-from kinegraph.contract import LEVELS, contracts
+from kinegraph.bundle.contract import LEVELS, contracts
+from kinegraph.bundle.reader import Bundle, read_bundle
+from kinegraph.bundle.sessions import Sessions, available_cpus, open_session, open_sessions, session_options
 from kinegraph.errors import BundleError, InvalidInputError
-from kinegraph.sessions import Sessions, available_cpus, open_session, open_sessions, session_options
+from support.synthetic_bundle import LEVEL_SPECS, bundle_files, filler_model, write_bundle
 
 
 @pytest.fixture(scope="module")

@@ -8,13 +8,13 @@ from typing import Any
 
 import numpy as np
 import pytest
-from cli_runs import fails
-from same_motion import assert_same_motion
 
 from kinegraph import InvalidInputError, MotionPipeline, cli
-from kinegraph.bundle import DEFAULT_BUNDLE
+from kinegraph.bundle.reader import DEFAULT_BUNDLE
 from kinegraph.edits import with_weight
 from kinegraph.limits import MAX_TAKES
+from support.cli_runs import fails
+from support.same_motion import assert_same_motion
 
 pytestmark = pytest.mark.skipif(not (DEFAULT_BUNDLE / "manifest.json").is_file(), reason="no default bundle")
 pytest.importorskip("spacy")

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 import kinegraph
 from kinegraph.errors import BundleFormatError, InvalidInputError
 from kinegraph.limits import MAX_PIECES, MAX_TEXT
-from kinegraph.text.tokens import CaptionTokenizer, span_mask
+from kinegraph.text.tokenizer import CaptionTokenizer, span_mask
 
 FILE = Path(kinegraph.__file__).parent / "bundles" / "default" / "tokenizer.json"
 pytestmark = pytest.mark.skipif(not FILE.is_file(), reason="no default bundle")

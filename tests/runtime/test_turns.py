@@ -10,13 +10,13 @@ import pytest
 
 pytest.importorskip("starlette")
 
-from kinegraph.play.turns import TooBusyError, Turns
+from kinegraph.playground.fair_queue import FairQueue, TooBusyError
 
 
 class Log:
     """Requests that hold their turn until told, and the order in which they had it."""
 
-    def __init__(self, turns: Turns) -> None:
+    def __init__(self, turns: FairQueue) -> None:
         self.turns = turns
         self.order: list[str] = []
         self.at_once = 0
@@ -50,7 +50,7 @@ async def started(log: Log, *names: str) -> list[asyncio.Task[None]]:
 
 def test_tabs_take_turns_however_much_one_of_them_asks() -> None:
     async def body() -> None:
-        log = Log(Turns())
+        log = Log(FairQueue())
         await asyncio.gather(*await started(log, "a1", "a2", "a3", "a4", "b1", "c1", "b2"))
         assert log.order == ["a1", "a2", "b1", "c1", "a3", "b2", "a4"]
         assert len(log.turns) == 0
@@ -60,7 +60,7 @@ def test_tabs_take_turns_however_much_one_of_them_asks() -> None:
 
 def test_how_many_are_ahead_is_never_understated() -> None:
     async def body() -> None:
-        log = Log(Turns())
+        log = Log(FairQueue())
         tasks = await started(log, "a1")
         assert log.turns.ahead("b") == 1
         tasks += await started(log, "a2", "a3", "c1")
@@ -75,7 +75,7 @@ def test_how_many_are_ahead_is_never_understated() -> None:
 
 def test_a_full_queue_says_so_and_goes_on() -> None:
     async def body() -> None:
-        log = Log(Turns(most=3, per_tab=2))
+        log = Log(FairQueue(most=3, per_tab=2))
         tasks = await started(log, "a1", "a2", "a3")
         with pytest.raises(TooBusyError, match="2 requests are waiting"):
             await log.ask("a4")
@@ -92,7 +92,7 @@ def test_a_full_queue_says_so_and_goes_on() -> None:
 @pytest.mark.parametrize("leaves", ["a1", "a2", "b1", "b2"])
 def test_whoever_leaves_holds_up_nobody(leaves: str) -> None:
     async def body() -> None:
-        log = Log(Turns())
+        log = Log(FairQueue())
         names = ["a1", "a2", "b1", "b2"]
         tasks = await started(log, *names)
         tasks[names.index(leaves)].cancel()
@@ -106,7 +106,7 @@ def test_whoever_leaves_holds_up_nobody(leaves: str) -> None:
 
 def test_a_turn_that_came_to_one_who_just_left_passes_on() -> None:
     async def body() -> None:
-        turns = Turns()
+        turns = FairQueue()
         first, second, third = (turns.turn(name) for name in "abc")
         await first.__aenter__()
         waits = asyncio.create_task(second.__aenter__())

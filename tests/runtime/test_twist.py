@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from motions import largest_twist, posed, recorded, turn, walk, world_turns
 
 from kinegraph.motion import quaternions as q
+from kinegraph.motion.kinematics import HINGES, spine_twist, twisted
 from kinegraph.motion.skeleton import JOINT_INDEX
-from kinegraph.motion.twist import HINGES, spine_twist, twisted
+from support.motions import largest_twist, posed, recorded, turn, walk, world_turns
 
 
 def still(turns: dict[int, np.ndarray], frames: int = 6) -> np.ndarray:
@@ -73,7 +73,7 @@ def test_the_twist_of_a_turn_is_that_of_the_textbook() -> None:
 def test_a_limb_that_flips_would_be_seen(monkeypatch: pytest.MonkeyPatch) -> None:
     assert largest_twist(walk(40)) < 45
     monkeypatch.setattr(
-        "kinegraph.motion.rotations.hinge_twist", lambda _, goal, *rest, **more: np.pi * (np.arange(len(goal)) == 20)
+        "kinegraph.motion.kinematics.hinge_twist", lambda _, goal, *rest, **more: np.pi * (np.arange(len(goal)) == 20)
     )
     assert largest_twist(walk(40)) > 150
 

@@ -11,17 +11,17 @@ from html.parser import HTMLParser
 from pathlib import Path
 
 import pytest
-from cli_runs import fails, whole
-from motions import walk
 
 import kinegraph
 from kinegraph import cli
+from kinegraph.clip import Clip
 from kinegraph.errors import InvalidInputError
 from kinegraph.formats import encode
 from kinegraph.formats.html import page
 from kinegraph.formats.npz import read_npz
 from kinegraph.graph import SemanticGraph
-from kinegraph.motion.clip import Clip
+from support.cli_runs import fails, whole
+from support.motions import walk
 
 PACKAGE = Path(kinegraph.__file__).resolve().parent
 SOURCES = PACKAGE.parents[1] / "viewer"

@@ -18,7 +18,7 @@ def trained(tmp_path_factory: pytest.TempPathFactory) -> Path:
         pytest.importorskip(needed)
     if not PARSER.is_file():
         pytest.skip("no default bundle to take the text files from")
-    from toy_run import train
+    from support.toy_run import train
 
     folder = tmp_path_factory.mktemp("toy")
     train(folder)

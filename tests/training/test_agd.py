@@ -11,17 +11,17 @@ import pytest
 torch = pytest.importorskip("torch")
 pytest.importorskip("onnxscript")
 
-import numpy as np  # noqa: E402
-import onnxruntime  # noqa: E402
-from tracing import traced_once  # noqa: E402
+import numpy as np
+import onnxruntime
 
-from kinegraph.contract import PADDING_BIAS, LevelSpec, context_agd, step_agd  # noqa: E402
-from kinegraph.diffusion.composition import Mixture, composition, mixed, step_sizes  # noqa: E402
-from kinegraph_export.graphs import export_graph  # noqa: E402
-from kinegraph_export.modules import AgdContextGraph, AgdStepGraph, ContextGraph, StepGraph  # noqa: E402
-from kinegraph_export.onnx_export import round_weights  # noqa: E402
-from kinegraph_training.models.agd import AgdStepNetwork  # noqa: E402
-from kinegraph_training.models.denoiser import Denoiser, DenoiserConfig, LatentShape  # noqa: E402
+from kinegraph.bundle.contract import PADDING_BIAS, LevelSpec, context_agd, step_agd
+from kinegraph.diffusion.composition import CompositionWeights, combine_rows, plan_rows, step_sizes
+from kinegraph_export.graphs import export_graph
+from kinegraph_export.modules import AgdContextGraph, AgdDenoiserGraph, ContextGraph, DenoiserGraph
+from kinegraph_export.onnx_export import round_weights
+from kinegraph_training.models.agd import AgdNoisePredictor
+from kinegraph_training.models.denoiser import Denoiser, DenoiserConfig, LatentShape
+from support.tracing import traced_once
 
 WIDTH, LAYERS, HEADS, CHANNELS = 64, 3, 2, 6
 CONFIG = DenoiserConfig(width=WIDTH, layers=LAYERS, heads=HEADS, feed_forward=128, text_width=12)
@@ -125,9 +125,9 @@ CASES = [(0, 2, 4, 4e-4, 1), (2, 4, 5, 1e-3, 2), (4, 8, 6, 1e-2, 3), (4, 8, 3, 0
 def test_the_step_is_autograd_of_the_energy(coarse: int, tokens: int, nodes: int, gamma: float, seed: int) -> None:
     case = made(coarse, tokens, nodes, gamma, seed)
     with torch.no_grad():
-        found = AgdStepGraph(AgdStepNetwork(case.denoiser))(*case.parts.values())
+        found = AgdDenoiserGraph(AgdNoisePredictor(case.denoiser))(*case.parts.values())
         still = case.parts | {"gamma": torch.zeros(4, 2)}
-        plain = AgdStepGraph(AgdStepNetwork(case.denoiser))(*still.values())
+        plain = AgdDenoiserGraph(AgdNoisePredictor(case.denoiser))(*still.values())
     torch.testing.assert_close(found, reference(case), atol=1e-4, rtol=0)
     assert not torch.allclose(found, plain, atol=1e-6)
     # a row whose step sizes are 0 is the plain one
@@ -150,11 +150,11 @@ def predicted(case: Case, shares: dict[int, float], gamma: tuple[float, float]) 
 
 
 MIXTURES = [
-    Mixture((1.0, 0.7)),
-    Mixture((1.0, -0.6, 0.4)),
-    Mixture((0.8, 1.3, -0.3), lambdas=(0.0, 1.0, 0.0)),
-    Mixture((0.8, 1.3), (1.0,), (-1.0,), (0.2, 0.3, 0.5)),
-    Mixture((1.2,), (1.3, -0.3), (-0.5, -0.2), (0.1, 0.0, 0.9)),
+    CompositionWeights((1.0, 0.7)),
+    CompositionWeights((1.0, -0.6, 0.4)),
+    CompositionWeights((0.8, 1.3, -0.3), lambdas=(0.0, 1.0, 0.0)),
+    CompositionWeights((0.8, 1.3), (1.0,), (-1.0,), (0.2, 0.3, 0.5)),
+    CompositionWeights((1.2,), (1.3, -0.3), (-0.5, -0.2), (0.1, 0.0, 0.9)),
 ]
 
 
@@ -162,7 +162,7 @@ MIXTURES = [
 @pytest.mark.parametrize("gamma", [(0.0, 0.0), (4e-4, 1e-3), (0.02, 0.01)])
 @pytest.mark.parametrize(("coarse_tokens", "tokens"), [(0, 2), (2, 4), (4, 8)])
 def test_one_run_of_trained_modules_is_equations_7_to_10(
-    mixture: Mixture, gamma: tuple[float, float], coarse_tokens: int, tokens: int
+    mixture: CompositionWeights, gamma: tuple[float, float], coarse_tokens: int, tokens: int
 ) -> None:
     n, joint = len(mixture.weights), len(mixture.joint)
     case, scale, apart = made(coarse_tokens, tokens, 4, 0.0, n), 2.5, coarse_tokens > 0
@@ -188,9 +188,9 @@ def test_one_run_of_trained_modules_is_equations_7_to_10(
     fused = sum(share * term for share, term in zip(mixture.lambdas, (by_latent, by_meaning, by_text), strict=True))
     expected = fused + scale * added(2 + n + joint, mixture.negated, base)
 
-    plan = composition(mixture, scale, coarse=apart)
+    plan = plan_rows(mixture, scale, coarse=apart)
     rows, context = len(plan.mix), torch.from_numpy(plan.wiring.context)
-    graph = AgdStepGraph(AgdStepNetwork(case.denoiser))
+    graph = AgdDenoiserGraph(AgdNoisePredictor(case.denoiser))
     with torch.no_grad():
         found = graph(
             case.parts["latent"][:1].expand(rows, -1, -1),
@@ -201,7 +201,7 @@ def test_one_run_of_trained_modules_is_equations_7_to_10(
             torch.from_numpy(plan.wiring.combine),
             case.parts["bias"][context],
         )
-    np.testing.assert_allclose(mixed(found.numpy(), plan.mix)[0], expected.numpy(), atol=1e-4)
+    np.testing.assert_allclose(combine_rows(found.numpy(), plan.mix)[0], expected.numpy(), atol=1e-4)
 
 
 def nodes_of(seed: int) -> tuple[torch.Tensor, ...]:
@@ -220,16 +220,16 @@ def test_without_step_sizes_it_is_the_plain_step() -> None:
     keys_values = list(ContextGraph(case.denoiser.context)(*nodes_of(6)))
     (context,) = AgdContextGraph(case.denoiser.context)(*nodes_of(6))
     parts = case.parts | {"context": context, "gamma": torch.zeros(4, 2)}
-    found = AgdStepGraph(AgdStepNetwork(case.denoiser))(*parts.values())
+    found = AgdDenoiserGraph(AgdNoisePredictor(case.denoiser))(*parts.values())
     rest = (parts[name] for name in ("src", "combine", "bias"))
-    plain = StepGraph(case.denoiser.step)(parts["latent"], parts["modulation"], keys_values, *rest)
+    plain = DenoiserGraph(case.denoiser.step)(parts["latent"], parts["modulation"], keys_values, *rest)
     torch.testing.assert_close(found, plain, atol=1e-5, rtol=0)
 
 
 @torch.no_grad()
 def test_every_step_starts_from_the_context_it_is_given() -> None:
     case = made(2, 4, 5, 0.05, 7)
-    graph, before = AgdStepGraph(AgdStepNetwork(case.denoiser)), case.parts["context"].clone()
+    graph, before = AgdDenoiserGraph(AgdNoisePredictor(case.denoiser)), case.parts["context"].clone()
     first, second = (graph(*case.parts.values()) for _ in range(2))
     assert torch.equal(first, second) and torch.equal(case.parts["context"], before)
 
@@ -239,7 +239,7 @@ def test_padding_has_no_influence() -> None:
     case = made(2, 4, 5, 0.05, 8)
     other = case.parts | {"context": case.parts["context"].clone()}
     other["context"][1, 4] += 3.0
-    graph = AgdStepGraph(AgdStepNetwork(case.denoiser))
+    graph = AgdDenoiserGraph(AgdNoisePredictor(case.denoiser))
     assert torch.equal(graph(*case.parts.values()), graph(*other.values()))
 
 
@@ -257,7 +257,7 @@ def test_the_exported_step_is_the_network_and_moves_its_context(precision: str) 
     case = made(2, 4, 5, 0.02, 9)
     round_weights(case.denoiser)
     contract = step_agd("action", LEVEL)
-    data, parity = export_graph(AgdStepGraph(AgdStepNetwork(case.denoiser)), contract, 4, precision)  # type: ignore[arg-type]
+    data, parity = export_graph(AgdDenoiserGraph(AgdNoisePredictor(case.denoiser)), contract, 4, precision)  # type: ignore[arg-type]
     assert parity["step_action_agd"] <= 1e-4
     session = onnxruntime.InferenceSession(data, providers=["CPUExecutionProvider"])
     (found,) = session.run(["noise"], {name: part.numpy() for name, part in case.parts.items()})

@@ -17,26 +17,25 @@ pytest.importorskip("lightning")
 pytest.importorskip("onnxscript")
 pytest.importorskip("spacy")
 
-from toy_run import ASSETS  # noqa: E402
-from tracing import Traces, traced_once  # noqa: E402
-
-import kinegraph  # noqa: E402
-from kinegraph import Concept, MotionPipeline  # noqa: E402
-from kinegraph.concepts import METHODS  # noqa: E402
-from kinegraph.contract import LEVELS  # noqa: E402
-from kinegraph.diffusion.sampler import LevelPlan, initial_noise  # noqa: E402
-from kinegraph.edits import with_weight, without  # noqa: E402
-from kinegraph.errors import BundleError, InvalidInputError  # noqa: E402
-from kinegraph.manifest import Licence  # noqa: E402
-from kinegraph.motion.bones import with_bone_lengths  # noqa: E402
-from kinegraph.tables import bones_of  # noqa: E402
-from kinegraph_export import recover as recovering  # noqa: E402
-from kinegraph_export.checkpoints import read_run  # noqa: E402
-from kinegraph_export.export_bundle import Card, export_bundle  # noqa: E402
-from kinegraph_export.pipeline_parity import Request, torch_joints  # noqa: E402
-from kinegraph_export.recover import coarse_statistics, recover  # noqa: E402
-from kinegraph_training.config import read_preset  # noqa: E402
-from kinegraph_training.latents import read_vae  # noqa: E402
+import kinegraph
+from kinegraph import Concept, MotionPipeline
+from kinegraph.bundle.contract import LEVELS
+from kinegraph.bundle.manifest import Licence
+from kinegraph.bundle.tables import bones_of
+from kinegraph.concepts import METHODS
+from kinegraph.diffusion.sampling import LevelPlan, initial_noise
+from kinegraph.edits import with_weight, without
+from kinegraph.errors import BundleError, InvalidInputError
+from kinegraph.motion.postprocess import enforce_bone_lengths
+from kinegraph_export import recover as recovering
+from kinegraph_export.checkpoints import read_run
+from kinegraph_export.export_bundle import Card, export_bundle
+from kinegraph_export.pipeline_parity import Request, torch_joints
+from kinegraph_export.recover import coarse_statistics, recover
+from kinegraph_training.config import read_preset
+from kinegraph_training.latents import read_vae
+from support.toy_run import ASSETS
+from support.tracing import Traces, traced_once
 
 WEIGHTS = Path(__file__).parents[2] / "weights" / "edge"
 pytestmark = pytest.mark.timeout(600)
@@ -100,7 +99,7 @@ def test_the_runtime_moves_conditions_as_torch_does(trained: Path, bundle: Path)
     noise = initial_noise(3, plans)
     request = Request(len(moved), noise, sampling.steps, sampling.guidance, sampling.guidance_base, agd)
     expected = torch_joints(run, pipe._encoders.arrays(graph), request, own.mean, own.std)
-    np.testing.assert_allclose(moved, with_bone_lengths(expected, bones_of(pipe._tables)), atol=1e-4)
+    np.testing.assert_allclose(moved, enforce_bone_lengths(expected, bones_of(pipe._tables)), atol=1e-4)
     assert np.abs(moved - pipe.generate(graph, **how).joints).max() > 1e-3
     # One concept of weight 1 is itself by every method, and two in either order are the same motion.
     np.testing.assert_allclose(pipe.compose([graph], agd=agd, **how).joints, moved, atol=1e-4)

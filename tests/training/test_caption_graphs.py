@@ -11,9 +11,9 @@ import pytest
 pytest.importorskip("torch")
 pytest.importorskip("spacy")
 
-from kinegraph.bundle import DEFAULT_BUNDLE
-from kinegraph_training import caption_graphs
-from kinegraph_training.caption_graphs import CaptionEncoder, encode_captions
+from kinegraph.bundle.reader import DEFAULT_BUNDLE
+from kinegraph_training.data import caption_cache
+from kinegraph_training.data.caption_cache import CaptionEncoder, encode_captions
 
 pytestmark = pytest.mark.skipif(not (DEFAULT_BUNDLE / "parser.bin").is_file(), reason="no default bundle")
 
@@ -23,7 +23,7 @@ CAPTIONS = ["a person walks and turns left", "someone bows", "a person runs and 
 def test_what_was_encoded_is_read_back(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     cache = tmp_path / "captions.npz"
     first = encode_captions(CAPTIONS, DEFAULT_BUNDLE, cache)
-    monkeypatch.setattr(caption_graphs, "CaptionEncoder", lambda folder: pytest.fail("encoded again"))
+    monkeypatch.setattr(caption_cache, "CaptionEncoder", lambda folder: pytest.fail("encoded again"))
     again = encode_captions([*CAPTIONS, CAPTIONS[0]], DEFAULT_BUNDLE, cache)
     for caption in CAPTIONS:
         np.testing.assert_array_equal(again.get(caption).nodes, first.get(caption).nodes)
@@ -35,11 +35,11 @@ def test_only_what_is_new_is_encoded(tmp_path: Path, monkeypatch: pytest.MonkeyP
     whole = encode_captions(CAPTIONS, DEFAULT_BUNDLE, tmp_path / "whole.npz")
     encode_captions(CAPTIONS[:2], DEFAULT_BUNDLE, cache)
 
-    def noted(assets: Path, verbs_masked: bool, captions: list[str], encode: Any = caption_graphs._encoded) -> Any:
+    def noted(assets: Path, verbs_masked: bool, captions: list[str], encode: Any = caption_cache._encoded) -> Any:
         encoded.extend(captions)
         return encode(assets, verbs_masked, captions)
 
-    monkeypatch.setattr(caption_graphs, "_encoded", noted)
+    monkeypatch.setattr(caption_cache, "_encoded", noted)
     both = encode_captions(CAPTIONS, DEFAULT_BUNDLE, cache)
     fewer = encode_captions(CAPTIONS[1:], DEFAULT_BUNDLE, cache)
     assert encoded == CAPTIONS[2:]
@@ -53,17 +53,17 @@ def test_only_what_is_new_is_encoded(tmp_path: Path, monkeypatch: pytest.MonkeyP
 def test_what_other_assets_encoded_is_encoded_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     cache = tmp_path / "captions.npz"
     encode_captions(CAPTIONS, DEFAULT_BUNDLE, cache)
-    assets = {**caption_graphs.read_assets(DEFAULT_BUNDLE), "parser.bin": b"another parser"}
-    monkeypatch.setattr(caption_graphs, "read_assets", lambda folder: assets)
-    monkeypatch.setattr(caption_graphs, "_encoded", lambda *_: pytest.fail("encoded again"))
+    assets = {**caption_cache.read_assets(DEFAULT_BUNDLE), "parser.bin": b"another parser"}
+    monkeypatch.setattr(caption_cache, "read_assets", lambda folder: assets)
+    monkeypatch.setattr(caption_cache, "_encoded", lambda *_: pytest.fail("encoded again"))
     with pytest.raises(pytest.fail.Exception, match="encoded again"):
         encode_captions(CAPTIONS, DEFAULT_BUNDLE, cache)
 
 
 def test_several_processes_encode_what_one_does(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     alone = encode_captions(CAPTIONS, DEFAULT_BUNDLE, tmp_path / "alone.npz")
-    monkeypatch.setattr(caption_graphs, "PART", 2)
-    monkeypatch.setattr(caption_graphs, "available_cpus", lambda: 2)
+    monkeypatch.setattr(caption_cache, "PART", 2)
+    monkeypatch.setattr(caption_cache, "available_cpus", lambda: 2)
     together = encode_captions(CAPTIONS, DEFAULT_BUNDLE, tmp_path / "together.npz")
     for caption in CAPTIONS:
         np.testing.assert_array_equal(together.get(caption).nodes, alone.get(caption).nodes)

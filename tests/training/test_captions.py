@@ -7,15 +7,16 @@ import re
 
 import numpy as np
 import pytest
-from motions import SHARED, recorded, walk
+
+from support.motions import SHARED, recorded, walk
 
 pytest.importorskip("torch")
 
 from kinegraph.motion.features import features_from_joints, joints_from_features
 from kinegraph.motion.skeleton import JOINT_NAMES, PARENTS, facing_angle, mirrored
-from kinegraph_training.data import MotionClip, mirrored_caption, mirrored_clip, mirrored_label, read_split
+from kinegraph_training.data.clips import MotionClip, mirrored_caption, mirrored_clip, mirrored_label, read_split
 from kinegraph_training.dataset import with_counted_steps
-from kinegraph_training.phrases import COUNTED_STEPS, PHRASES, counted_captions
+from kinegraph_training.synthetic.caption_grammar import COUNTED_STEPS, PHRASES, counted_captions
 
 PAIRS = (
     ("a person turns left.", "a person turns right."),

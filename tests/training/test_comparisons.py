@@ -7,14 +7,14 @@ import pytest
 
 torch = pytest.importorskip("torch")
 
-from kinegraph.contract import LEVELS, NULL_KIND, PADDING_BIAS  # noqa: E402
-from kinegraph.errors import InvalidInputError  # noqa: E402
-from kinegraph_export.graphs import Trained, check_exportable, level_specs  # noqa: E402
-from kinegraph_training.caption_states import plain_tokens  # noqa: E402
-from kinegraph_training.models.concat_denoiser import ConcatDenoiser  # noqa: E402
-from kinegraph_training.models.denoiser import DenoiserConfig, LatentShape  # noqa: E402
-from kinegraph_training.models.hierarchy import GraphBatch, Hierarchy  # noqa: E402
-from kinegraph_training.models.vae import MotionVae, VaeConfig  # noqa: E402
+from kinegraph.bundle.contract import LEVELS, NULL_KIND, PADDING_BIAS
+from kinegraph.errors import InvalidInputError
+from kinegraph_export.graphs import Trained, check_exportable, level_specs
+from kinegraph_training.data.caption_cache import plain_tokens
+from kinegraph_training.models.concat_denoiser import ConcatDenoiser
+from kinegraph_training.models.denoiser import DenoiserConfig, LatentShape
+from kinegraph_training.models.hierarchy import GraphBatch, Hierarchy
+from kinegraph_training.models.vae import MotionVae, VaeConfig
 
 SIZE = {"width": 16, "layers": 3, "heads": 2, "feed_forward": 32, "text_width": 12}
 

@@ -13,20 +13,21 @@ from typing import Any
 
 import numpy as np
 import pytest
-from motions import posed, turn, walk
+
+from support.motions import posed, turn, walk
 
 pytest.importorskip("torch")
 pytest.importorskip("spacy")
 
-from kinegraph.bundle import DEFAULT_BUNDLE
+from kinegraph.bundle.reader import DEFAULT_BUNDLE
 from kinegraph_training import compml
-from kinegraph_training.compositions import HeldOut
 from kinegraph_training.config import DataConfig
-from kinegraph_training.data import MotionClip, mirrored_label, read_split
-from kinegraph_training.data_writer import PreparedClip, write_data
+from kinegraph_training.data.clips import MotionClip, mirrored_label, read_split
+from kinegraph_training.data.folder import PreparedClip, write_data
 from kinegraph_training.dataset import training_clips
-from kinegraph_training.measures import hand_speed, jerk
-from kinegraph_training.phrases import LOCOMOTION
+from kinegraph_training.metrics import hand_speed, jerk
+from kinegraph_training.synthetic.caption_grammar import LOCOMOTION
+from kinegraph_training.synthetic.compositions import HeldOut
 
 needs_default = pytest.mark.skipif(not (DEFAULT_BUNDLE / "manifest.json").is_file(), reason="no default bundle")
 HELD = {"together": [["walk", "wave-left-hand"], ["walk-turn-left", "raise-up-left-hand"]], "in_order": []}

@@ -7,27 +7,22 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from motions import SHARED, posed, turn, walk
+
+from support.motions import SHARED, posed, turn, walk
 
 pytest.importorskip("torch")
 
 from kinegraph.motion.skeleton import bone_lengths, facing_angle, mirrored
-from kinegraph_training.compositions import (
+from kinegraph_training.data.clips import MotionClip, mirrored_caption, mirrored_clip, mirrored_label, read_split
+from kinegraph_training.synthetic.compositions import (
     BLEND,
     LEFT_ARM,
     RIGHT_ARM,
     HeldOut,
-    joined,
     make_sequences,
     make_splices,
     splice,
-)
-from kinegraph_training.data import (
-    MotionClip,
-    mirrored_caption,
-    mirrored_clip,
-    mirrored_label,
-    read_split,
+    stitch_clips,
 )
 
 LEGS = [1, 2, 4, 5, 7, 8, 10, 11]
@@ -84,13 +79,13 @@ def test_bones_keep_their_lengths() -> None:
     for seed in range(5):
         spliced = splice(carrier, clip("raise-up-left-hand", raising(25)), np.random.default_rng(seed))
         np.testing.assert_allclose(bone_lengths(spliced), np.tile(lengths, (60, 1)), atol=1e-4)
-    sequence = joined(walk(40), raising(30))
+    sequence = stitch_clips(walk(40), raising(30))
     np.testing.assert_allclose(bone_lengths(sequence), np.tile(lengths, (len(sequence), 1)), atol=1e-3)
 
 
 def test_a_sequence_goes_on_where_and_how_the_first_one_ends() -> None:
     first, second = walk(50, turning=0.02), walk(50)
-    out = joined(first, second)
+    out = stitch_clips(first, second)
     assert len(out) == 100 - BLEND
     np.testing.assert_allclose(out[: 50 - BLEND], first[: 50 - BLEND], atol=2e-3)
     # No jump anywhere: the pelvis walks at 5 cm a frame throughout.

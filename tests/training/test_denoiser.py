@@ -9,15 +9,9 @@ import pytest
 
 torch = pytest.importorskip("torch")
 
-from kinegraph.contract import NULL_KIND, PADDING_BIAS  # noqa: E402
-from kinegraph_export.modules import ClockGraph, StepGraph  # noqa: E402
-from kinegraph_training.models.denoiser import (  # noqa: E402
-    CrossAttention,
-    Denoiser,
-    DenoiserConfig,
-    LatentShape,
-    Mixing,
-)
+from kinegraph.bundle.contract import NULL_KIND, PADDING_BIAS
+from kinegraph_export.modules import DenoiserGraph, ModulationGraph
+from kinegraph_training.models.denoiser import CrossAttention, Denoiser, DenoiserConfig, LatentShape, RowMixing
 
 CONFIG = DenoiserConfig(width=16, layers=3, heads=2, feed_forward=32, text_width=12, max_frames=40, train_steps=50)
 LATENT, COARSE = LatentShape(4, 6), LatentShape(2, 5)
@@ -58,11 +52,11 @@ def test_the_exported_form_of_a_step_is_the_trained_one(denoiser: Denoiser) -> N
     # The clock of all steps at once, an identity mixing, one bias per latent token: what the runtime feeds.
     parts = inputs()
     context = denoiser.context(parts["nodes"], parts["kind"], parts["order"], parts["coarse"])
-    clock = ClockGraph(denoiser.clock)(torch.tensor([1, 7, 9]), torch.tensor([11, 20]))
+    clock = ModulationGraph(denoiser.clock)(torch.tensor([1, 7, 9]), torch.tensor([11, 20]))
     modulation = clock[1, 1].expand(3, -1, -1)
     bias = parts["bias"][:, None, None, :].expand(-1, -1, 4, -1)
     flat = [part for pair in context for part in pair]
-    found = StepGraph(denoiser.step)(parts["latent"], modulation, flat, torch.arange(3), torch.eye(3), bias)
+    found = DenoiserGraph(denoiser.step)(parts["latent"], modulation, flat, torch.arange(3), torch.eye(3), bias)
     torch.testing.assert_close(found, noise(denoiser, **parts), atol=1e-5, rtol=0)
 
 
@@ -94,7 +88,7 @@ def test_mixing_sums_attention_rows_before_the_output(denoiser: Denoiser) -> Non
     module = CrossAttention(8, 2).eval()
     x, bias = torch.randn(1, 3, 8), torch.zeros(2, 1, 1, 5)
     key, value = torch.randn(2, 2, 2, 5, 4)
-    mixed = module(x, key, value, bias, Mixing(torch.tensor([0, 0]), torch.tensor([[0.7, 0.3]])))
+    mixed = module(x, key, value, bias, RowMixing(torch.tensor([0, 0]), torch.tensor([[0.7, 0.3]])))
     single = [module(x, key[i : i + 1], value[i : i + 1], bias[i : i + 1], None) for i in range(2)]
     torch.testing.assert_close(mixed, 0.7 * single[0] + 0.3 * single[1], atol=1e-5, rtol=0)
 

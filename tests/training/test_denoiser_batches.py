@@ -11,23 +11,17 @@ import pytest
 torch = pytest.importorskip("torch")
 pytest.importorskip("lightning")
 
-from kinegraph.conditions import ACTION, MOTION, SPECIFIC, GraphArrays  # noqa: E402
-from kinegraph.contract import LEVELS, NULL_KIND, PADDING_BIAS  # noqa: E402
-from kinegraph_training import denoiser_batches  # noqa: E402
-from kinegraph_training.config import OptimiserConfig  # noqa: E402
-from kinegraph_training.data import MotionClip  # noqa: E402
-from kinegraph_training.dataset import Dataset  # noqa: E402
-from kinegraph_training.denoiser_batches import (  # noqa: E402
-    COARSE_NOISE,
-    MASK_VERBS,
-    DenoiserBatch,
-    DenoiserBatches,
-    thinned,
-)
-from kinegraph_training.latents import Latents  # noqa: E402
-from kinegraph_training.models.denoiser import DenoiserConfig, LatentShape  # noqa: E402
-from kinegraph_training.models.graph_encoder import GraphEncoder  # noqa: E402
-from kinegraph_training.train_denoisers import DenoiserModule, squared_error  # noqa: E402
+from kinegraph.bundle.contract import LEVELS, NULL_KIND, PADDING_BIAS
+from kinegraph.conditioning import ACTION, MOTION, SPECIFIC, GraphArrays
+from kinegraph_training import denoiser_batches
+from kinegraph_training.config import OptimiserConfig
+from kinegraph_training.data.clips import MotionClip
+from kinegraph_training.dataset import Dataset
+from kinegraph_training.denoiser_batches import COARSE_NOISE, MASK_VERBS, DenoiserBatch, DenoiserBatches, drop_nodes
+from kinegraph_training.latents import Latents
+from kinegraph_training.models.denoiser import DenoiserConfig, LatentShape
+from kinegraph_training.models.graph_encoder import GraphEncoder
+from kinegraph_training.train_denoisers import DenoiserModule, squared_error
 
 WIDTH = 12
 SHAPES = {"motion": (2, 4), "action": (3, 4), "specific": (4, 4)}
@@ -159,7 +153,7 @@ def test_a_dropped_node_is_a_node_that_is_not_there(seed: int, monkeypatch: pyte
     monkeypatch.setattr(denoiser_batches, "DROP_SPECIFIC", 0.4)
     torch.manual_seed(0)
     encoder = GraphEncoder(WIDTH)
-    found, kept = thinned(LARGE, np.random.default_rng(seed))
+    found, kept = drop_nodes(LARGE, np.random.default_rng(seed))
     left = np.flatnonzero(kept)
     # Specifics 3 | 4, 5 hang below actions 1 | 2 and never outlive them.
     assert not (kept[3] and not kept[1]) and not ((kept[4] or kept[5]) and not kept[2])
@@ -175,7 +169,7 @@ def test_a_dropped_node_is_a_node_that_is_not_there(seed: int, monkeypatch: pyte
 def test_some_seed_drops_something(monkeypatch: pytest.MonkeyPatch) -> None:
     # Or the test above would say nothing.
     monkeypatch.setattr(denoiser_batches, "DROP_ACTION", 0.5)
-    kept = [thinned(LARGE, np.random.default_rng(seed))[1] for seed in range(6)]
+    kept = [drop_nodes(LARGE, np.random.default_rng(seed))[1] for seed in range(6)]
     assert len({int(each[1:].sum()) for each in kept}) > 1
     assert {bool(each[0]) for each in kept} == {True, False}
 

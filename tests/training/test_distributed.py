@@ -12,9 +12,8 @@ import pytest
 torch = pytest.importorskip("torch")
 pytest.importorskip("lightning")
 
-from toy_run import ASSETS, steps_of, write_walks  # noqa: E402
-
-from kinegraph_training.batches import FrameBudgetSampler  # noqa: E402
+from kinegraph_training.vae_batches import FrameBudgetSampler
+from support.toy_run import ASSETS, steps_of, write_walks
 
 TOGETHER = ("--accelerator", "cpu", "--devices", "2", "--strategy", "ddp", "--enable_progress_bar", "0")
 

@@ -5,10 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from kinegraph.conditions import GraphArrays
-from kinegraph.duration import expected_frames
-from kinegraph.tables import DURATION
-from kinegraph_training.duration import fit_duration
+from kinegraph.bundle.tables import DURATION
+from kinegraph.conditioning import GraphArrays, expected_frames
+from kinegraph_training.bundle_tables import fit_duration
 
 
 def graph(sentence: np.ndarray) -> GraphArrays:
@@ -31,8 +30,8 @@ def test_a_linear_law_is_found_again() -> None:
 
 def test_clips_made_to_any_length_say_nothing_of_it() -> None:
     pytest.importorskip("lightning")
-    from kinegraph_training.caption_graphs import CaptionGraphs
-    from kinegraph_training.data import MotionClip
+    from kinegraph_training.data.caption_cache import CaptionGraphs
+    from kinegraph_training.data.clips import MotionClip
     from kinegraph_training.dataset import Dataset
     from kinegraph_training.train_denoisers import measured
 

@@ -11,17 +11,16 @@ torch = pytest.importorskip("torch")
 pytest.importorskip("lightning")
 pytest.importorskip("onnxscript")
 
-from evaluator import Evaluator  # noqa: E402
-from motions import walk  # noqa: E402
-
-from kinegraph.bundle import DEFAULT_BUNDLE  # noqa: E402
-from kinegraph.errors import BundleIntegrityError, InvalidInputError  # noqa: E402
-from kinegraph.motion.features import features_from_joints  # noqa: E402
-from kinegraph_export.export_evaluator import export_evaluator, read_evaluator  # noqa: E402
-from kinegraph_training import train_evaluator  # noqa: E402
-from kinegraph_training.config import OptimiserConfig  # noqa: E402
-from kinegraph_training.data_writer import PreparedClip, write_data  # noqa: E402
-from kinegraph_training.models.evaluator import EvaluatorConfig, MotionEncoder, contrastive_loss  # noqa: E402
+from kinegraph.bundle.reader import DEFAULT_BUNDLE
+from kinegraph.errors import BundleIntegrityError, InvalidInputError
+from kinegraph.motion.features import features_from_joints
+from kinegraph_benchmarks.common.evaluator import Evaluator
+from kinegraph_export.export_evaluator import export_evaluator, read_evaluator
+from kinegraph_training import train_evaluator
+from kinegraph_training.config import OptimiserConfig
+from kinegraph_training.data.folder import PreparedClip, write_data
+from kinegraph_training.models.evaluator import EvaluatorConfig, MotionEncoder, contrastive_loss
+from support.motions import walk
 
 needs_default = pytest.mark.skipif(
     not (DEFAULT_BUNDLE / "parser.bin").is_file(), reason="no default bundle to take the text files from"

@@ -6,16 +6,17 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from motions import SHARED, walk
+
+from support.motions import SHARED, walk
 
 pytest.importorskip("torch")
 
-from kinegraph.motion.poses import accelerations
+from kinegraph.motion.blending import accelerations
 from kinegraph.motion.skeleton import bone_lengths, facing_angle
 from kinegraph_training.config import DataConfig
-from kinegraph_training.data import MotionClip, read_split
+from kinegraph_training.data.clips import MotionClip, read_split
 from kinegraph_training.dataset import training_clips
-from kinegraph_training.excerpts import SHORTEST, in_manners_that_turn, make_excerpts
+from kinegraph_training.synthetic.excerpts import SHORTEST, in_manners_that_turn, make_excerpts
 
 CAPTIONS = ("a person walks forward.", "a person walks nine steps.", "someone covers about ten meters.")
 

@@ -7,8 +7,8 @@ import pytest
 
 torch = pytest.importorskip("torch")
 
-from kinegraph.text.roles import ROLES  # noqa: E402
-from kinegraph_training.models.graph_encoder import GraphEncoder  # noqa: E402
+from kinegraph.graph import ROLES
+from kinegraph_training.models.graph_encoder import GraphEncoder
 
 WIDTH = 8
 

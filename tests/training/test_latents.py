@@ -7,10 +7,10 @@ import pytest
 
 torch = pytest.importorskip("torch")
 
-from kinegraph_training.config import read_preset  # noqa: E402
-from kinegraph_training.dataset import Dataset  # noqa: E402
-from kinegraph_training.latents import TrainedVae, encode_clips, standardised  # noqa: E402
-from kinegraph_training.models.vae import MotionVae  # noqa: E402
+from kinegraph_training.config import read_preset
+from kinegraph_training.dataset import Dataset
+from kinegraph_training.latents import TrainedVae, encode_clips, standardised
+from kinegraph_training.models.vae import MotionVae
 
 PRESET = read_preset("tiny")
 

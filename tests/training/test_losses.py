@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from motions import walk
+
+from support.motions import walk
 
 torch = pytest.importorskip("torch")
 
-from kinegraph.motion.features import features_from_joints  # noqa: E402
-from kinegraph.motion.skeleton import JOINT_INDEX  # noqa: E402
-from kinegraph_training.losses import ReconstructionLoss, reconstruction_terms, spectrum  # noqa: E402
+from kinegraph.motion.features import features_from_joints
+from kinegraph.motion.skeleton import JOINT_INDEX
+from kinegraph_training.losses import ReconstructionLoss, reconstruction_terms, spectrum
 
 WRIST = JOINT_INDEX["right_wrist"]
 HZ = 2.5

@@ -7,16 +7,25 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from motions import walk
+
+from support.motions import walk
 
 pytest.importorskip("torch")
 
 from kinegraph.motion.skeleton import bone_lengths, facing_angle
 from kinegraph_training.config import DataConfig
-from kinegraph_training.data import MotionClip, read_split
-from kinegraph_training.data_writer import PreparedClip, write_data
+from kinegraph_training.data.clips import MotionClip, read_split
+from kinegraph_training.data.folder import PreparedClip, write_data
 from kinegraph_training.dataset import training_set
-from kinegraph_training.paces import FAST, LEAST, PACE, SLOWLY, make_paces, paced_clips, smoothly_resampled
+from kinegraph_training.synthetic.time_scaling import (
+    FAST,
+    LEAST,
+    PACE,
+    SLOWLY,
+    make_paces,
+    paced_clips,
+    smoothly_resampled,
+)
 
 CONFIG = DataConfig(splices=0, sequences=0)
 

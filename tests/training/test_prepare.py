@@ -7,16 +7,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from bvh_files import bvh_text, folder_of, prepared
 
+from kinegraph.clip import Clip
 from kinegraph.errors import InvalidInputError, OutputError
-from kinegraph.motion.clip import Clip
-from kinegraph.motion.placement import placed
-from kinegraph_training.bvh_reader import parse_bvh, read_bvh
-from kinegraph_training.captions_file import matched, read_captions
-from kinegraph_training.data import read_split
-from kinegraph_training.data_writer import split_of
+from kinegraph.motion.skeleton import canonicalise
+from kinegraph_training.data.bvh import parse_bvh, read_bvh
+from kinegraph_training.data.captions_file import matched, read_captions
+from kinegraph_training.data.clips import read_split
+from kinegraph_training.data.folder import split_of
 from kinegraph_training.prepare import PrepareOptions, clip_joints, main, prepare
+from support.bvh_files import bvh_text, folder_of, prepared
 
 SHARED = Path(__file__).resolve().parents[3] / "shared"
 
@@ -78,7 +78,7 @@ def test_a_folder_becomes_training_data(tmp_path: Path, capsys: pytest.CaptureFi
     for name, (_, places) in files.items():
         clip = clips[name.removesuffix(".bvh")]
         assert clip.captions == ("a person moves",)
-        np.testing.assert_allclose(clip.joints, placed(places / 100), atol=1.5e-4)
+        np.testing.assert_allclose(clip.joints, canonicalise(places / 100), atol=1.5e-4)
     index = [json.loads(line) for line in (tmp_path / "out" / "index.jsonl").read_text().splitlines()]
     assert index[0] == {
         "id": "clip0",
@@ -107,12 +107,12 @@ def test_our_own_files_come_back(tmp_path: Path) -> None:
         saved = Clip(joints=clip.joints, fps=20.0, seed=0, text="x", bundle="b")
         saved.save(tmp_path / f"{clip.id}.bvh")
         back = clip_joints(tmp_path / f"{clip.id}.bvh", PrepareOptions())
-        assert np.linalg.norm(back - placed(clip.joints), axis=-1).max() <= 2e-3
+        assert np.linalg.norm(back - canonicalise(clip.joints), axis=-1).max() <= 2e-3
 
 
 def test_a_made_up_clip_of_our_own_comes_back(tmp_path: Path) -> None:
     _, places = bvh_text(frames=40)
-    joints = placed(places / 100)
+    joints = canonicalise(places / 100)
     Clip(joints=joints, fps=60.0, seed=0, text="x", bundle="b").save(tmp_path / "x.bvh")
     back = clip_joints(tmp_path / "x.bvh", PrepareOptions(fps=60.0))
     assert np.linalg.norm(back - joints, axis=-1).max() <= 2e-3

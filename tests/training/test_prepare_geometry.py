@@ -9,14 +9,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from bvh_files import MIXAMO, bvh_text, prepared
 
 from kinegraph.errors import InvalidInputError
-from kinegraph.motion.placement import placed
-from kinegraph.motion.skeleton import JOINT_NAMES
-from kinegraph_training.bvh_reader import joint_positions, parse_bvh, resampled
-from kinegraph_training.joint_map import TABLES, joint_map, mapped, plain_name, read_map
+from kinegraph.motion.skeleton import JOINT_NAMES, canonicalise
+from kinegraph_training.data.bvh import joint_positions, parse_bvh, resampled
+from kinegraph_training.data.retargeting import TABLES, joint_map, map_joints, plain_name, read_map
 from kinegraph_training.prepare import unit_of
+from support.bvh_files import MIXAMO, bvh_text, prepared
 
 SHARED = Path(__file__).resolve().parents[3] / "shared"
 
@@ -24,12 +23,12 @@ SHARED = Path(__file__).resolve().parents[3] / "shared"
 @pytest.mark.parametrize("order", ["".join(axes) for axes in permutations("XYZ")])
 def test_every_rotation_order(tmp_path: Path, order: str) -> None:
     text, places = bvh_text(orders=(order,))
-    np.testing.assert_allclose(prepared(tmp_path, text), placed(places / 100), atol=1e-5)
+    np.testing.assert_allclose(prepared(tmp_path, text), canonicalise(places / 100), atol=1e-5)
 
 
 def test_orders_that_differ_per_joint_and_positions_that_replace_offsets(tmp_path: Path) -> None:
     text, places = bvh_text(orders=("ZXY", "XYZ", "YZX", "ZYX"), positions_everywhere=True)
-    np.testing.assert_allclose(prepared(tmp_path, text), placed(places / 100), atol=1e-5)
+    np.testing.assert_allclose(prepared(tmp_path, text), canonicalise(places / 100), atol=1e-5)
 
 
 def test_clips_start_ahead_at_the_origin_on_the_floor(tmp_path: Path) -> None:
@@ -47,7 +46,7 @@ def test_other_frame_rates_are_resampled(tmp_path: Path, fps: float) -> None:
     _, slow = bvh_text(frames=41, fps=20.0)
     joints = prepared(tmp_path, text)
     assert joints.shape == (41, 22, 3)
-    np.testing.assert_allclose(joints, placed(slow / 100), atol=3e-3)
+    np.testing.assert_allclose(joints, canonicalise(slow / 100), atol=3e-3)
 
 
 def test_resampling_goes_the_short_way_past_half_a_turn() -> None:
@@ -75,7 +74,7 @@ def test_a_body_of_no_known_unit_needs_scale(tmp_path: Path) -> None:
     text, places = bvh_text(positions_everywhere=True)
     with pytest.raises(InvalidInputError, match=r"--scale 7$"):
         unit_of(places / 81 * 0.85 / 7)
-    np.testing.assert_allclose(prepared(tmp_path, text, scale=0.0125), placed(places / 80), atol=1e-5)
+    np.testing.assert_allclose(prepared(tmp_path, text, scale=0.0125), canonicalise(places / 80), atol=1e-5)
 
 
 def test_z_up(tmp_path: Path) -> None:
@@ -84,7 +83,7 @@ def test_z_up(tmp_path: Path) -> None:
     head, motion = turned.split("MOTION\n")
     first, second, *rows = motion.splitlines()
     turned = head + "}\nMOTION\n" + "\n".join([first, second, *(f"90 {row}" for row in rows)]) + "\n"
-    np.testing.assert_allclose(prepared(tmp_path, turned, up="z"), placed(places / 100), atol=1e-5)
+    np.testing.assert_allclose(prepared(tmp_path, turned, up="z"), canonicalise(places / 100), atol=1e-5)
 
 
 NAMINGS: dict[str, Callable[[str], str]] = {
@@ -102,7 +101,7 @@ def test_names_of_other_sources(tmp_path: Path, naming: str) -> None:
     text, places = bvh_text([NAMINGS[naming](name) for name in MIXAMO])
     joints = prepared(tmp_path, text)
     # The made-up motion depends on the length of the first name.
-    np.testing.assert_allclose(joints, placed(places / 100), atol=1e-5)
+    np.testing.assert_allclose(joints, canonicalise(places / 100), atol=1e-5)
 
 
 @pytest.mark.parametrize(
@@ -115,7 +114,7 @@ def test_names_of_other_sources(tmp_path: Path, naming: str) -> None:
 )
 def test_smpl_names(tmp_path: Path, names: list[str]) -> None:
     text, places = bvh_text(names)
-    np.testing.assert_allclose(prepared(tmp_path, text), placed(places / 100), atol=1e-5)
+    np.testing.assert_allclose(prepared(tmp_path, text), canonicalise(places / 100), atol=1e-5)
 
 
 def bones_of(source: dict[str, object]) -> tuple[str, ...]:
@@ -151,7 +150,7 @@ def test_bandai_spine_is_half_way() -> None:
     limbs = TABLES["Bandai Namco"]
     names = tuple(name[0] for joint, name in limbs.items())
     places = np.random.default_rng(0).normal(size=(3, len(names), 3))
-    joints = mapped(places, names, joint_map(names))
+    joints = map_joints(places, names, joint_map(names))
     np.testing.assert_allclose(joints[:, 3], (joints[:, 0] + joints[:, 6]) / 2)
     np.testing.assert_allclose(joints[:, 0], places[:, names.index("hips")])
 

@@ -11,7 +11,7 @@ pytest.importorskip("torch")
 from kinegraph.errors import InvalidInputError
 from kinegraph_training.config import read_preset
 
-COMPARISONS = Path(__file__).resolve().parents[2] / "benchmarks" / "comparisons"
+COMPARISONS = Path(__file__).resolve().parents[2] / "benchmarks" / "kinegraph_benchmarks" / "ablations" / "comparisons"
 
 
 @pytest.mark.parametrize("name", ["tiny", "edge", "paper"])

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from kinegraph.motion.skeleton import PARENTS, bone_lengths
-from kinegraph_training.run_tables import common_bone_lengths, read_tables, write_tables
+from kinegraph_training.bundle_tables import common_bone_lengths, read_tables, write_tables
 
 
 def body(size: float) -> np.ndarray:

@@ -13,12 +13,11 @@ torch = pytest.importorskip("torch")
 pytest.importorskip("lightning")
 pytest.importorskip("spacy")
 
-from motions import walk  # noqa: E402
-from toy_run import ASSETS, stage, steps_of, write_walks  # noqa: E402
-
-from kinegraph.contract import LEVELS  # noqa: E402
-from kinegraph_training import train_denoisers, train_vae  # noqa: E402
-from kinegraph_training.data_writer import PreparedClip, write_data  # noqa: E402
+from kinegraph.bundle.contract import LEVELS
+from kinegraph_training import train_denoisers, train_vae
+from kinegraph_training.data.folder import PreparedClip, write_data
+from support.motions import walk
+from support.toy_run import ASSETS, stage, steps_of, write_walks
 
 
 @pytest.mark.parametrize("precision", ["32-true", "bf16-mixed"])

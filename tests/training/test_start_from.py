@@ -9,11 +9,11 @@ import pytest
 torch = pytest.importorskip("torch")
 pytest.importorskip("lightning")
 
-from kinegraph.errors import InvalidInputError  # noqa: E402
-from kinegraph_training import train_vae  # noqa: E402
-from kinegraph_training.config import LEVELS, read_preset  # noqa: E402
-from kinegraph_training.latents import read_vae  # noqa: E402
-from kinegraph_training.train_vae import ENCODER, MOTION_TERMS, VaeModule  # noqa: E402
+from kinegraph.errors import InvalidInputError
+from kinegraph_training import train_vae
+from kinegraph_training.config import LEVELS, read_preset
+from kinegraph_training.latents import read_vae
+from kinegraph_training.train_vae import ENCODER, MOTION_TERMS, VaeModule
 
 WEIGHTS = Path(__file__).parents[2] / "weights" / "edge"
 

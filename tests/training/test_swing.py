@@ -6,15 +6,16 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from motions import walk
+
+from support.motions import walk
 
 torch = pytest.importorskip("torch")
 
-from kinegraph.motion import features as layout  # noqa: E402
-from kinegraph.motion.features import features_from_joints  # noqa: E402
-from kinegraph.motion.skeleton import JOINT_INDEX  # noqa: E402
-from kinegraph_training.latents import TrainedVae  # noqa: E402
-from kinegraph_training.swing import Swing, denoised  # noqa: E402
+from kinegraph.motion import features as layout
+from kinegraph.motion.features import features_from_joints
+from kinegraph.motion.skeleton import JOINT_INDEX
+from kinegraph_training.latents import TrainedVae
+from kinegraph_training.losses import SpectralMotionLoss, denoised
 
 WRIST_X = layout.POSITIONS.start + 3 * (JOINT_INDEX["right_wrist"] - 1)
 FRAMES = 61
@@ -35,9 +36,9 @@ class Waving(torch.nn.Module):
         return torch.cat([rows[..., :WRIST_X], rows[..., WRIST_X, None] + wave[..., None], rows[..., WRIST_X + 1 :]], 2)
 
 
-def swing() -> Swing:
+def swing() -> SpectralMotionLoss:
     plain = np.zeros(137, dtype=np.float32)
-    return Swing(TrainedVae(Waving(), plain, plain + 1), CENTRE, SCALE)  # type: ignore[arg-type]
+    return SpectralMotionLoss(TrainedVae(Waving(), plain, plain + 1), CENTRE, SCALE)  # type: ignore[arg-type]
 
 
 def latent(size: float, phase: float = 0.0) -> torch.Tensor:

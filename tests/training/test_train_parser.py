@@ -10,10 +10,10 @@ import pytest
 pytest.importorskip("torch")
 pytest.importorskip("spacy")
 
-from kinegraph.bundle import DEFAULT_BUNDLE
+from kinegraph.bundle.reader import DEFAULT_BUNDLE
 from kinegraph.errors import InvalidInputError
+from kinegraph.text.argument_classifier import provenance_of
 from kinegraph.text.parser import GraphParser
-from kinegraph.text.ranker import provenance_of
 from kinegraph_training.train_parser import examples, read_gold, rule_examples, train
 
 GOLD = Path(__file__).parents[2] / "benchmarks" / "parser" / "hard_sentences_dev.jsonl"

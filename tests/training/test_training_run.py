@@ -10,8 +10,8 @@ import pytest
 torch = pytest.importorskip("torch")
 L = pytest.importorskip("lightning")
 
-from kinegraph_training.config import OptimiserConfig  # noqa: E402
-from kinegraph_training.training_run import last_checkpoint, optimiser, trainer  # noqa: E402
+from kinegraph_training.config import OptimiserConfig
+from kinegraph_training.trainer import last_checkpoint, optimiser, trainer
 
 CONFIG = OptimiserConfig(steps=8, learning_rate=0.1, warmup=2, batch=1, ema=0.9)
 QUIET: dict[str, Any] = {"accelerator": "cpu", "precision": "32-true", "enable_progress_bar": False}

@@ -28,19 +28,19 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
+from kinegraph.arrays import FloatArray
 from numpy.typing import NDArray
 from tqdm import tqdm
 
 from kinegraph import MotionPipeline, __version__
+from kinegraph.bundle.sessions import MAX_THREADS, available_cpus
 from kinegraph.errors import InvalidInputError, KinegraphError, OutputError
-from kinegraph.formats.atomic import write_atomically
-from kinegraph.motion.skeleton import FloatArray
-from kinegraph.sessions import MAX_THREADS, available_cpus
-from kinegraph_training.compositions import HeldOut, drawn_pair, may_be_together, spliceable
-from kinegraph_training.data import MotionClip, read_split
-from kinegraph_training.data_writer import PreparedClip, write_data
-from kinegraph_training.measures import foot_skate, hand_speed, jerk
-from kinegraph_training.phrases import concept_caption, splice_caption
+from kinegraph.files import write_atomically
+from kinegraph_training.data.clips import MotionClip, read_split
+from kinegraph_training.data.folder import PreparedClip, write_data
+from kinegraph_training.metrics import foot_skate, hand_speed, jerk
+from kinegraph_training.synthetic.caption_grammar import concept_caption, splice_caption
+from kinegraph_training.synthetic.compositions import HeldOut, drawn_pair, may_be_together, spliceable
 
 LIMIT: Final = 1.5
 """Times the highest jerk and foot skate of recorded clips of the two actions; as much below the lowest hand speed."""

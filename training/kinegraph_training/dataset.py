@@ -8,15 +8,15 @@ from pathlib import Path
 
 import numpy as np
 
+from kinegraph.arrays import FloatArray
 from kinegraph.errors import InvalidInputError
 from kinegraph.motion.features import features_from_joints, normalisation
-from kinegraph.motion.skeleton import FloatArray
-from kinegraph_training.compositions import HeldOut, make_sequences, make_splices
 from kinegraph_training.config import DataConfig
-from kinegraph_training.data import MotionClip, mirrored_clip, read_split
-from kinegraph_training.excerpts import in_manners_that_turn, make_excerpts
-from kinegraph_training.paces import make_paces, paced_clips
-from kinegraph_training.phrases import counted_captions
+from kinegraph_training.data.clips import MotionClip, mirrored_clip, read_split
+from kinegraph_training.synthetic.caption_grammar import counted_captions
+from kinegraph_training.synthetic.compositions import HeldOut, make_sequences, make_splices
+from kinegraph_training.synthetic.excerpts import in_manners_that_turn, make_excerpts
+from kinegraph_training.synthetic.time_scaling import make_paces, paced_clips
 
 
 @dataclass(frozen=True)
@@ -90,3 +90,10 @@ def validation_set(folder: Path, split: str, config: DataConfig, mean: FloatArra
     clips = [clip for clip in read_split(folder, split) if len(clip.joints) >= config.min_frames]
     features = [(features_from_joints(clip.joints[: config.max_frames]) - mean) / std for clip in clips]
     return Dataset(clips, [np.asarray(rows, dtype=np.float32) for rows in features], mean, std)
+
+
+def limit_length(dataset: Dataset, max_frames: int) -> Dataset:
+    """Clips whose caption describes all that a latent may hold: longer ones are left out, not cut."""
+    keep = [i for i, rows in enumerate(dataset.features) if len(rows) <= max_frames]
+    clips, features = [dataset.clips[i] for i in keep], [dataset.features[i] for i in keep]
+    return Dataset(clips, features, dataset.mean, dataset.std)

@@ -9,19 +9,18 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from kinegraph.conditions import ACTION, MOTION, SPECIFIC, GraphArrays, padded
-from kinegraph.contract import NULL_KIND, PADDING_BIAS
-from kinegraph_training.caption_graphs import CaptionGraphs
-from kinegraph_training.caption_states import CaptionStates
+from kinegraph.bundle.contract import NULL_KIND, PADDING_BIAS
+from kinegraph.conditioning import ACTION, MOTION, SPECIFIC, GraphArrays, pad_graphs
+from kinegraph_training.data.caption_cache import CaptionGraphs, CaptionStates
 from kinegraph_training.dataset import Dataset
 from kinegraph_training.latents import Latents
 from kinegraph_training.models.hierarchy import GraphBatch
 
-NO_TEXT = 0.1
+CONDITION_DROPOUT = 0.1
 """Share of samples with the null token in place of the graph (guidance, GraphMotion Eq. A)."""
 NO_COARSE_GIVEN_NO_TEXT = 0.5
 """Half of those lose the coarser latent too: the paper's empty set, next to the base that compositions need."""
-HIDE_COARSE = 0.4
+COARSE_DROPOUT = 0.4
 """Share of samples with text that do without the coarser latent: a level that may always copy it learns to copy its
 mistakes too (R@1 after 2,500 steps: .83 copying, .92 so, .95 with a single level)."""
 HIDE_MOTION = 0.4
@@ -65,7 +64,7 @@ class DenoiserBatch:
         return replace(self, graph=graph, node_bias=bias)
 
 
-def thinned(graph: GraphArrays, rng: np.random.Generator) -> tuple[GraphArrays, np.ndarray]:
+def drop_nodes(graph: GraphArrays, rng: np.random.Generator) -> tuple[GraphArrays, np.ndarray]:
     """Drop some actions (with their arguments) and specifics the way an edit would: weight 0 on their edges, and on
     those of a hidden motion node, which the actions would else be told by.
 
@@ -119,10 +118,10 @@ class DenoiserBatches:
             graph = self._source().get(captions[chosen])
             left = np.ones(len(graph.kind), dtype=bool)
             if self.augment:
-                graph, left = thinned(graph, self.rng)
+                graph, left = drop_nodes(graph, self.rng)
             graphs.append(graph)
             kept.append(left)
-        arrays = {name: torch.from_numpy(value) for name, value in padded(graphs).items()}
+        arrays = {name: torch.from_numpy(value) for name, value in pad_graphs(graphs).items()}
         shape = arrays["node_mask"].shape
         kind, order = torch.zeros(shape, dtype=torch.int64), torch.zeros(shape, dtype=torch.int64)
         bias = torch.full(shape, PADDING_BIAS)
@@ -149,8 +148,8 @@ class DenoiserBatches:
 
     def _with_null_rows(self, batch: DenoiserBatch) -> DenoiserBatch:
         count = len(batch.frames)
-        null = torch.rand(count, generator=self.generator) < NO_TEXT
-        hidden = torch.where(null, NO_COARSE_GIVEN_NO_TEXT, HIDE_COARSE)
+        null = torch.rand(count, generator=self.generator) < CONDITION_DROPOUT
+        hidden = torch.where(null, NO_COARSE_GIVEN_NO_TEXT, COARSE_DROPOUT)
         alone = torch.rand(count, generator=self.generator) < hidden
         blank = batch.without_text()
         graph = replace(batch.graph, kind=torch.where(null[:, None], blank.graph.kind, batch.graph.kind))

@@ -7,12 +7,12 @@ from pathlib import Path
 
 import numpy as np
 import torch
+from kinegraph.arrays import FloatArray
 
-from kinegraph.motion.skeleton import FloatArray
-from kinegraph_training.batches import padded
 from kinegraph_training.config import LEVELS
 from kinegraph_training.dataset import Dataset
 from kinegraph_training.models.vae import MotionVae, VaeConfig
+from kinegraph_training.vae_batches import padded
 
 
 @dataclass(frozen=True)

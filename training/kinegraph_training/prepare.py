@@ -19,13 +19,13 @@ from typing import Final
 import numpy as np
 from tqdm import tqdm
 
+from kinegraph.arrays import FloatArray, Floats
 from kinegraph.errors import InvalidInputError, KinegraphError, OutputError
-from kinegraph.motion.placement import placed
-from kinegraph.motion.skeleton import JOINT_INDEX, PELVIS, FloatArray
-from kinegraph_training.bvh_reader import Floats, joint_positions, read_bvh, resampled
-from kinegraph_training.captions_file import matched, read_captions
-from kinegraph_training.data_writer import SPLITS, STEP_METRES, PreparedClip, split_of, write_data
-from kinegraph_training.joint_map import Source, joint_map, mapped, read_map
+from kinegraph.motion.skeleton import JOINT_INDEX, PELVIS, canonicalise
+from kinegraph_training.data.bvh import joint_positions, read_bvh, resampled
+from kinegraph_training.data.captions_file import matched, read_captions
+from kinegraph_training.data.folder import SPLITS, STEP_METRES, PreparedClip, split_of, write_data
+from kinegraph_training.data.retargeting import Source, joint_map, map_joints, read_map
 
 UNITS: Final[dict[str, float]] = {
     "metres": 1.0,
@@ -96,11 +96,11 @@ def clip_joints(path: Path, options: PrepareOptions) -> FloatArray:
     try:
         sources = joint_map(motion.names, options.own_map)
         motion = resampled(motion, options.fps)
-        places = mapped(joint_positions(motion), motion.names, sources)
+        places = map_joints(joint_positions(motion), motion.names, sources)
         if len(places) < 2:
             raise InvalidInputError(f"less than two frames at {options.fps:g} frames per second; too short to train on")
         scale = unit_of(places) if options.scale is None else options.scale
-        joints = placed(_y_up(places, options.up) * scale)
+        joints = canonicalise(_y_up(places, options.up) * scale)
         _check_range(joints)
     except InvalidInputError as error:
         raise InvalidInputError(f"{path}: {error}") from error

@@ -19,24 +19,28 @@ import torch
 from torch import Tensor
 from torch.utils.data import DataLoader, WeightedRandomSampler
 
-from kinegraph.contract import LEVELS, NULL_KIND, PADDING_BIAS
-from kinegraph.diffusion.schedule import NoiseSchedule
-from kinegraph.motion.skeleton import FloatArray
-from kinegraph.tables import BONE_LENGTHS, DURATION
-from kinegraph_training.caption_graphs import CaptionGraphs, encode_captions
-from kinegraph_training.caption_states import CaptionStates, caption_states
+from kinegraph.arrays import FloatArray
+from kinegraph.bundle.contract import LEVELS, NULL_KIND, PADDING_BIAS
+from kinegraph.bundle.tables import BONE_LENGTHS, DURATION
+from kinegraph.diffusion.sampling import NoiseSchedule
+from kinegraph_training.bundle_tables import common_bone_lengths, fit_duration, write_tables
 from kinegraph_training.config import DataConfig, OptimiserConfig, Preset, read_preset
-from kinegraph_training.data import MotionClip
-from kinegraph_training.dataset import Dataset, training_set, validation_set
+from kinegraph_training.data.caption_cache import CaptionGraphs, CaptionStates, caption_states, encode_captions
+from kinegraph_training.data.clips import MotionClip
+from kinegraph_training.dataset import Dataset, limit_length, training_set, validation_set
 from kinegraph_training.denoiser_batches import DenoiserBatch, DenoiserBatches
-from kinegraph_training.duration import fit_duration
 from kinegraph_training.latents import Latents, cached_latents, encode_clips, read_vae
+from kinegraph_training.losses import CLEAR, WEIGHT, SpectralMotionLoss, denoised
 from kinegraph_training.models.denoiser import DenoiserConfig, LatentShape
 from kinegraph_training.models.hierarchy import Hierarchy
-from kinegraph_training.run_tables import common_bone_lengths, write_tables
-from kinegraph_training.swing import CLEAR, WEIGHT, Swing, denoised
-from kinegraph_training.train_vae import add_common_arguments, lightning_flags
-from kinegraph_training.training_run import last_checkpoint, optimiser, start_weights, trainer
+from kinegraph_training.trainer import (
+    add_common_arguments,
+    last_checkpoint,
+    lightning_flags,
+    optimiser,
+    start_weights,
+    trainer,
+)
 
 
 def squared_error(predicted: Tensor, noise: Tensor) -> Tensor:
@@ -45,7 +49,7 @@ def squared_error(predicted: Tensor, noise: Tensor) -> Tensor:
 
 
 class DenoiserModule(L.LightningModule):
-    """Sum over levels of |eps - phi(z_t, t, graph, coarser latent)|^2, and of `Swing` at the last one."""
+    """Sum over levels of |eps - phi(z_t, t, graph, coarser latent)|^2, and of `SpectralMotionLoss` at the last one."""
 
     def __init__(
         self,
@@ -53,7 +57,7 @@ class DenoiserModule(L.LightningModule):
         training: OptimiserConfig,
         latents: dict[str, LatentShape],
         statistics: dict[str, tuple[Tensor, Tensor]],
-        swing: Swing | None = None,
+        swing: SpectralMotionLoss | None = None,
     ) -> None:
         super().__init__()
         self.swing = swing
@@ -140,13 +144,6 @@ def clip_weights(clips: list[MotionClip], config: DataConfig) -> list[float]:
     ]
 
 
-def within(dataset: Dataset, max_frames: int) -> Dataset:
-    """Clips whose caption describes all that a latent may hold: longer ones are left out, not cut."""
-    keep = [i for i, rows in enumerate(dataset.features) if len(rows) <= max_frames]
-    clips, features = [dataset.clips[i] for i in keep], [dataset.features[i] for i in keep]
-    return Dataset(clips, features, dataset.mean, dataset.std)
-
-
 def measured(train: Dataset, graphs: CaptionGraphs | CaptionStates) -> dict[str, FloatArray]:
     """What the bundle says of the training clips besides the networks: how long they are, how long their bones."""
     tables = {}
@@ -160,7 +157,7 @@ def measured(train: Dataset, graphs: CaptionGraphs | CaptionStates) -> dict[str,
 
 def batches(arguments: argparse.Namespace, preset: Preset) -> tuple[DataLoader, DataLoader, dict[str, Latents]]:
     """Training and validation batches, and the latents they come from."""
-    train = within(
+    train = limit_length(
         training_set(arguments.data, preset.data, arguments.held_out, arguments.more), preset.data.max_frames
     )
     val = validation_set(arguments.data, "val", preset.data, train.mean, train.std)
@@ -212,7 +209,7 @@ def main(argv: list[str] | None = None) -> None:
     finest = latents[LEVELS[-1]]
     decoder = read_vae(arguments.run / f"vae_{LEVELS[-1]}" / "last.ckpt")
     decoder.vae.requires_grad_(False)
-    swing = Swing(decoder, finest.centre, finest.scale)
+    swing = SpectralMotionLoss(decoder, finest.centre, finest.scale)
     module = DenoiserModule(preset.denoiser, config, shapes, statistics, swing)
     if arguments.start_from:
         start_weights(module.hierarchy, arguments.start_from, "hierarchy.")

@@ -17,15 +17,14 @@ import torch
 from torch import Tensor, nn
 from torch.utils.data import DataLoader, WeightedRandomSampler
 
-from kinegraph_training.batches import padded
-from kinegraph_training.caption_states import CaptionStates, caption_states
 from kinegraph_training.config import DataConfig, OptimiserConfig
-from kinegraph_training.data import MotionClip
+from kinegraph_training.data.caption_cache import CaptionStates, caption_states
+from kinegraph_training.data.clips import MotionClip
 from kinegraph_training.dataset import Dataset, training_set, validation_set
 from kinegraph_training.metrics import label_groups, r_precision
 from kinegraph_training.models.evaluator import EvaluatorConfig, MotionEncoder, TextEncoder, contrastive_loss
-from kinegraph_training.train_vae import lightning_flags
-from kinegraph_training.training_run import last_checkpoint, optimiser, trainer
+from kinegraph_training.trainer import last_checkpoint, lightning_flags, optimiser, trainer
+from kinegraph_training.vae_batches import padded
 
 DATA = DataConfig(splices=0, sequences=0)
 """Recorded clips and their mirror images: what is measured with must not be made up."""

@@ -22,10 +22,10 @@ import numpy as np
 import torch
 
 from kinegraph.errors import InvalidInputError
-from kinegraph.text.parser import GraphParser, frame_candidates, skeleton
-from kinegraph.text.ranker import CLASSES, packed
-from kinegraph.text.roles import ARGUMENT_ROLES, OTHERS
-from kinegraph_training.phrases import MANNERS, PHRASES, sequence_caption, splice_caption
+from kinegraph.graph import ARGUMENT_ROLES, OTHERS
+from kinegraph.text.argument_classifier import CLASSES, packed
+from kinegraph.text.parser import GraphParser, frame_candidates, predicate_frames
+from kinegraph_training.synthetic.caption_grammar import MANNERS, PHRASES, sequence_caption, splice_caption
 
 PENALTY = 1.0
 ITERATIONS = 80
@@ -75,7 +75,7 @@ def examples(parser: GraphParser, graphs: Iterable[dict[str, Any]]) -> Examples:
     for graph in graphs:
         caption = graph["caption"]
         analysis = parser.analyse(caption)
-        frames = skeleton(analysis)
+        frames = predicate_frames(analysis)
         gold = {words_of(caption, a["start"], a["end"]): a["arguments"] for a in graph["actions"] if a["arguments"]}
         characters = [(token.idx, token.idx + len(token)) for token in analysis.written]
         for found, options in zip(frames, frame_candidates(analysis, frames), strict=True):
@@ -95,7 +95,7 @@ def rule_examples(parser: GraphParser, captions: Iterable[str]) -> Examples:
     made = Examples([], [], [])
     for caption in captions:
         analysis = parser.analyse(caption)
-        frames = skeleton(analysis)
+        frames = predicate_frames(analysis)
         for found, options in zip(frames, frame_candidates(analysis, frames), strict=True):
             wanted = {span: _class(role) for role, span in found.arguments}
             labels = [wanted.get((first, last), 0) for first, last, _ in options.spans]

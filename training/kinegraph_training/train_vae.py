@@ -21,12 +21,19 @@ from torch.utils.data import DataLoader
 from kinegraph.errors import InvalidInputError
 from kinegraph.motion.features import joints_from_features
 from kinegraph.motion.skeleton import FEET
-from kinegraph_training.batches import FrameBudgetSampler, cropped, padded
 from kinegraph_training.config import LEVELS, OptimiserConfig, Preset, read_preset
 from kinegraph_training.dataset import Dataset, training_set, validation_set
 from kinegraph_training.losses import SPECTRA, ReconstructionLoss, kl_divergence, path_loss, reconstruction_terms
 from kinegraph_training.models.vae import MotionVae, VaeConfig
-from kinegraph_training.training_run import last_checkpoint, optimiser, start_weights, trainer
+from kinegraph_training.trainer import (
+    add_common_arguments,
+    last_checkpoint,
+    lightning_flags,
+    optimiser,
+    start_weights,
+    trainer,
+)
+from kinegraph_training.vae_batches import FrameBudgetSampler, cropped, padded
 
 PATH_WEIGHT = 0.1
 """Weight of the whole integral in the last third of a run, once poses are learnt."""
@@ -179,36 +186,6 @@ def main(argv: list[str] | None = None) -> None:
     run = arguments.run / f"vae_{arguments.level}"
     loop = trainer(run, config, validate_every=min(1000, config.steps), lightning=lightning_flags(lightning))
     loop.fit(module, *loaders(train, val, preset, arguments.level), ckpt_path=last_checkpoint(run))
-
-
-def add_common_arguments(parser: argparse.ArgumentParser) -> None:
-    """Arguments of every stage."""
-    parser.add_argument("--data", type=Path, required=True, help="folder with train.npz, captions.jsonl, index.jsonl")
-    parser.add_argument("--held-out", type=Path, help="JSON of action pairs that must not be composed in training")
-    parser.add_argument(
-        "--more",
-        type=Path,
-        action="append",
-        default=[],
-        help="another data folder, trained on as it is; may be repeated",
-    )
-    parser.add_argument("--run", type=Path, required=True, help="folder for checkpoints and curves")
-    parser.add_argument("--preset", default="edge", help="edge, paper, tiny, or a TOML file")
-    parser.add_argument("--threads", type=int, help="threads torch may use")
-    parser.add_argument(
-        "--start-from", type=Path, help="checkpoint of the same shape whose weights a new run starts with"
-    )
-
-
-def lightning_flags(words: list[str]) -> dict[str, Any]:
-    """`--devices 2 --strategy ddp` as keyword arguments of lightning.Trainer."""
-    if len(words) % 2 or any(not name.startswith("--") for name in words[::2]):
-        raise SystemExit(f"unknown arguments {' '.join(words)}; flags of lightning.Trainer come as --name value")
-    flags: dict[str, Any] = {}
-    for name, value in zip(words[::2], words[1::2], strict=True):
-        key = name.removeprefix("--").replace("-", "_")
-        flags[key] = int(value) if value.lstrip("-").isdigit() else value
-    return flags
 
 
 if __name__ == "__main__":

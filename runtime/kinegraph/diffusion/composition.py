@@ -25,14 +25,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float32]
-IntArray = NDArray[np.int64]
+from kinegraph.arrays import FloatArray, IntArray
 
 
 @dataclass(frozen=True)
-class Wiring:
+class AttentionRouting:
     """How A attention rows serve R rows of latents, given K contexts."""
 
     context: IntArray
@@ -43,14 +41,14 @@ class Wiring:
     """(R, A) how what is attended to goes back into the rows."""
 
     @staticmethod
-    def straight(count: int) -> Wiring:
+    def straight(count: int) -> AttentionRouting:
         """Row k attends to context k."""
         rows = np.arange(count, dtype=np.int64)
-        return Wiring(rows, rows, np.eye(count, dtype=np.float32))
+        return AttentionRouting(rows, rows, np.eye(count, dtype=np.float32))
 
 
 @dataclass(frozen=True)
-class Mixture:
+class CompositionWeights:
     """What is composed: the weights of graphs by their part in it, and how."""
 
     weights: tuple[float, ...]
@@ -66,15 +64,15 @@ class Mixture:
 
 
 @dataclass(frozen=True)
-class Composition:
+class RowPlan:
     """One level's rows and how their predictions add up."""
 
-    wiring: Wiring
+    wiring: AttentionRouting
     mix: FloatArray
     """(R,) coefficients; they sum to 1."""
 
 
-def composition(mixture: Mixture, scale: float, *, coarse: bool) -> Composition:
+def plan_rows(mixture: CompositionWeights, scale: float, *, coarse: bool) -> RowPlan:
     """Rows for the terms whose lambda is not 0.
 
     Contexts are numbered 0 for nothing, 1 for no text beside the coarser latent, 2 .. n + 1 for the concepts, and from
@@ -108,24 +106,24 @@ def composition(mixture: Mixture, scale: float, *, coarse: bool) -> Composition:
     rows += [[(len(w) + len(mixture.joint) + 2 + place, 1.0)] for place in range(len(mixture.negated))]
     mix += [scale * weight for weight in mixture.negated]
     mix[0] = 1.0 - sum(mix)
-    return Composition(_wiring(rows), np.array(mix, dtype=np.float32))
+    return RowPlan(_wiring(rows), np.array(mix, dtype=np.float32))
 
 
-def _wiring(rows: Sequence[Sequence[tuple[int, float]]]) -> Wiring:
+def _wiring(rows: Sequence[Sequence[tuple[int, float]]]) -> AttentionRouting:
     """One attention row per (context, share) of each latent row."""
     pairs = [(row, context, share) for row, parts in enumerate(rows) for context, share in parts]
     combine = np.zeros((len(rows), len(pairs)), dtype=np.float32)
     for place, (row, _, share) in enumerate(pairs):
         combine[row, place] = share
     context, src = (np.array([pair[which] for pair in pairs], dtype=np.int64) for which in (1, 0))
-    return Wiring(context, src, combine)
+    return AttentionRouting(context, src, combine)
 
 
-def step_sizes(wiring: Wiring, agd: tuple[float, float]) -> FloatArray:
+def step_sizes(wiring: AttentionRouting, agd: tuple[float, float]) -> FloatArray:
     """(A, 2) gamma_attn and gamma_reg of every attention row: 0 where there is no text to move."""
     return np.where(wiring.context[:, None] >= 2, np.array(agd, dtype=np.float32), np.float32(0.0))
 
 
-def mixed(predictions: FloatArray, mix: FloatArray) -> FloatArray:
+def combine_rows(predictions: FloatArray, mix: FloatArray) -> FloatArray:
     """sum_r mix_r eps_r: (R, C, z), (R,) -> (1, C, z)."""
     return np.tensordot(mix, predictions, axes=1).astype(np.float32)[None]

@@ -12,17 +12,16 @@ the energy of a mixture of predictions is that mixture of their energies.
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
-from kinegraph.diffusion.sampler import Predict
+from kinegraph.arrays import DoubleArray
+from kinegraph.diffusion.sampling import Predict
 from kinegraph.errors import NonFiniteError
-
-Floats = NDArray[np.float64]
 
 SAME: Final = 1e-3
 """Standard deviations of the latent: samples as near as this are one, and what parts them is rounding."""
@@ -32,23 +31,23 @@ SAME: Final = 1e-3
 class Plane:
     """A plane of latents (C, z)."""
 
-    origin: Floats
+    origin: DoubleArray
     """(C, z) the latent at (0, 0)."""
-    axes: Floats
+    axes: DoubleArray
     """(2, C z) orthonormal."""
 
-    def place(self, latent: Floats) -> Floats:
+    def place(self, latent: DoubleArray) -> DoubleArray:
         """(2,) where a latent (C, z) is, seen along the normal of the plane."""
-        place: Floats = self.axes @ (latent - self.origin).ravel()
+        place: DoubleArray = self.axes @ (latent - self.origin).ravel()
         return place
 
-    def latent(self, first: float, second: float) -> Floats:
+    def latent(self, first: float, second: float) -> DoubleArray:
         """(C, z) at a place."""
-        latent: Floats = self.origin + (first * self.axes[0] + second * self.axes[1]).reshape(self.origin.shape)
+        latent: DoubleArray = self.origin + (first * self.axes[0] + second * self.axes[1]).reshape(self.origin.shape)
         return latent
 
 
-def plane_through(samples: Sequence[Floats]) -> Plane:
+def plane_through(samples: Sequence[DoubleArray]) -> Plane:
     """The plane with its origin at the first sample: from the second sample to the third, and across.
 
     Args:
@@ -71,9 +70,9 @@ def noise_field(
     step: int,
     signal: float,
     plane: Plane,
-    places: tuple[Floats, Floats],
+    places: tuple[DoubleArray, DoubleArray],
     after_row: Callable[[], None],
-) -> Floats:
+) -> DoubleArray:
     """The gradient of E along both axes, (G, G, 2); [i, j] is the i-th place of the second axis, the j-th of the first.
 
     A place stands for the latent z there; E is taken at sqrt(alpha_bar) z, the mean of q(z_t | z), so that
@@ -102,14 +101,14 @@ def noise_field(
     return field
 
 
-def edge_integrals(field: Floats, spacing: float) -> Floats:
+def edge_integrals(field: DoubleArray, spacing: float) -> DoubleArray:
     """Of a field (G, G, 2) along the edges of its grid: first those along the first axis, then along the second."""
     across = (field[:, :-1, 0] + field[:, 1:, 0]) / 2
     along = (field[:-1, :, 1] + field[1:, :, 1]) / 2
     return spacing * np.concatenate([across.ravel(), along.ravel()])
 
 
-def potential(field: Floats, spacing: float) -> tuple[Floats, float]:
+def potential(field: DoubleArray, spacing: float) -> tuple[DoubleArray, float]:
     """The energy (G, G), and the share of the field (root of squares) that is no gradient of it.
 
     Args:
@@ -124,3 +123,54 @@ def potential(field: Floats, spacing: float) -> tuple[Floats, float]:
     energy = np.linalg.solve(differences.T @ differences + 1 / size**2, differences.T @ wanted)
     rest = np.linalg.norm(differences @ energy - wanted) / max(float(np.linalg.norm(wanted)), 1e-12)
     return energy.reshape(size, size), float(rest)
+
+
+@dataclass(frozen=True)
+class EnergyMap:
+    """Of one way to predict the noise."""
+
+    label: str
+    energy: DoubleArray
+    """(GRID, GRID), least value 0; [i, j] is at `second[i]`, `first[j]`."""
+    sample: DoubleArray
+    """(2,) where its own sample ends on the plane, from the same noise and the same coarser latents."""
+    off_plane: float
+    """How far beside the plane that is, in the unit of the axes."""
+    rest: float
+    """Share of the predicted noise on the plane that is no gradient (`diffusion.energy.potential`)."""
+
+
+@dataclass(frozen=True)
+class EnergyMaps:
+    """Maps of one composition on one plane through the specific latents.
+
+    The plane goes through the samples of the first two concepts and of the composition. Its place (0, 0) is the
+    composition's; the first axis leads from the first concept's sample to the second's, the other one across. The unit
+    is one standard deviation of the latent. A place z has the energy, under the guided prediction, of sqrt(alpha_bar)
+    z: what z is on average at that timestep.
+    """
+
+    maps: tuple[EnergyMap, ...]
+    """Each concept, the composition, the joint text."""
+    first: DoubleArray
+    """(GRID,) places along the first axis."""
+    second: DoubleArray
+    """(GRID,)."""
+    timestep: int
+    """Of the schedule's table."""
+
+    def save(self, path: str | os.PathLike[str], *, force: bool = False) -> None:
+        """Write a `.png`.
+
+        Raises:
+            OutputError: it cannot be written there; see `files.check_target`.
+            MissingExtraError: matplotlib is not installed (`pip install "kinegraph[plot]"`).
+        """
+        from kinegraph.files import check_target, write_atomically
+        from kinegraph.formats import check_installed
+
+        check_target(path, force, (".png",))
+        check_installed(".png")
+        from kinegraph.formats.energy_png import encode
+
+        write_atomically(path, encode(self), force=force)

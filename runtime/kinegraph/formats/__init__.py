@@ -2,35 +2,52 @@
 
 from __future__ import annotations
 
+import os
 from importlib import import_module
 from importlib.util import find_spec
 from typing import TYPE_CHECKING, Final, cast
 
 from kinegraph.errors import InvalidInputError, MissingExtraError
-from kinegraph.formats.joint_names import CONVENTIONS, DEFAULT_NAMES
+from kinegraph.files import check_target, suffix_of
+from kinegraph.motion.skeleton import CONVENTIONS, DEFAULT_NAMES
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from kinegraph.motion.clip import Clip
+    from kinegraph.clip import Clip
 
 WRITERS: Final[dict[str, str]] = {
-    ".bvh": "kinegraph.formats.bvh",
-    ".gif": "kinegraph.formats.gif",
-    ".glb": "kinegraph.formats.glb",
-    ".html": "kinegraph.formats.html",
-    ".json": "kinegraph.formats.json_text",
-    ".mp4": "kinegraph.formats.mp4",
-    ".npz": "kinegraph.formats.npz",
-    ".png": "kinegraph.formats.png",
+    ".bvh": "kinegraph.formats.bvh:encode",
+    ".gif": "kinegraph.formats.video:encode_gif",
+    ".glb": "kinegraph.formats.glb:encode",
+    ".html": "kinegraph.formats.html:encode",
+    ".json": "kinegraph.formats.json:encode",
+    ".mp4": "kinegraph.formats.video:encode_mp4",
+    ".npz": "kinegraph.formats.npz:encode",
+    ".png": "kinegraph.formats.contact_sheet:encode",
 }
-"""Suffix -> module with `encode(clip) -> bytes`; loaded when used: a format may need an optional package."""
+"""Suffix -> module:function, `function(clip) -> bytes`; loaded when used: a format may need an optional package."""
 
 NAMED: Final = frozenset((".bvh", ".glb"))
 """Formats whose joints are named by convention."""
 
 _NEEDS: Final[dict[str, tuple[str, ...]]] = {".gif": ("PIL",), ".mp4": ("PIL", "av"), ".png": ("matplotlib",)}
 """Suffix -> packages beyond numpy that its writer needs; the extra `plot` installs them."""
+
+
+def check_clip_target(path: str | os.PathLike[str], force: bool = False) -> None:
+    """Refuse a file that a clip could not be saved as, before anything is computed for it.
+
+    Args:
+        path: file to write; its suffix, one of `WRITERS`, chooses the format.
+        force: whether an existing file may be replaced.
+
+    Raises:
+        OutputError: see `files.check_target`. Nothing has been written.
+        MissingExtraError: the format needs a package that is not installed.
+    """
+    check_target(path, force, WRITERS)
+    check_installed(suffix_of(path, WRITERS))
 
 
 def check_installed(suffix: str) -> None:
@@ -54,7 +71,8 @@ def encode(clip: Clip, suffix: str, names: str = DEFAULT_NAMES) -> bytes:
     """
     check_names(suffix, names)
     check_installed(suffix)
-    writer = cast("Callable[..., bytes]", import_module(WRITERS[suffix]).encode)
+    module, _, function = WRITERS[suffix].partition(":")
+    writer = cast("Callable[..., bytes]", getattr(import_module(module), function))
     return writer(clip, names) if suffix in NAMED else writer(clip)
 
 

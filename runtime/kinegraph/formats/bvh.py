@@ -7,20 +7,18 @@ add it to the position and those which do not agree.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
-from kinegraph.formats.joint_names import CONVENTIONS, DEFAULT_NAMES
+from kinegraph.arrays import Floats
+from kinegraph.motion.kinematics import CHILDREN, rotations_from_positions
 from kinegraph.motion.quaternions import to_matrix
-from kinegraph.motion.rotations import CHILDREN, solve_rotations
-from kinegraph.motion.skeleton import JOINT_INDEX, JOINT_NAMES
+from kinegraph.motion.skeleton import CONVENTIONS, DEFAULT_NAMES, JOINT_INDEX, JOINT_NAMES
 
 if TYPE_CHECKING:
-    from kinegraph.motion.clip import Clip
+    from kinegraph.clip import Clip
 
-Floats = NDArray[np.floating[Any]]
 
 CENTIMETRES: Final = 100.0
 END_SITES: Final[dict[str, tuple[float, float, float]]] = {
@@ -35,7 +33,7 @@ END_SITES: Final[dict[str, tuple[float, float, float]]] = {
 
 def encode(clip: Clip, names: str = DEFAULT_NAMES) -> bytes:
     """The file of a clip; `names` is one of `joint_names.CONVENTIONS`."""
-    motion = solve_rotations(clip.joints, clip.fps, loops=clip.loops)
+    motion = rotations_from_positions(clip.joints, clip.fps, loops=clip.loops)
     order = _depth_first(0)
     angles = np.degrees(euler_zxy(to_matrix(motion.rotations)))[:, order]
     rows = np.concatenate([motion.root * CENTIMETRES, angles.reshape(clip.frames, -1)], axis=1)

@@ -7,12 +7,12 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from kinegraph.formats.png import MIDDLE, fitting, png_bytes
+from kinegraph.formats.contact_sheet import MIDDLE, fitting, png_bytes
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-    from kinegraph.energy import EnergyMap, EnergyMaps
+    from kinegraph.diffusion.energy import EnergyMap, EnergyMaps
 
 CONTOURS: Final = 13
 PER_LINE: Final = 4

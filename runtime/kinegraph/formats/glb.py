@@ -13,13 +13,12 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from kinegraph.formats.body import rest_body
-from kinegraph.formats.joint_names import CONVENTIONS, DEFAULT_NAMES
-from kinegraph.motion.rotations import CHILDREN, forward_kinematics, solve_rotations
-from kinegraph.motion.skeleton import JOINTS
+from kinegraph.formats.glb_mesh import rest_body
+from kinegraph.motion.kinematics import CHILDREN, forward_kinematics, rotations_from_positions
+from kinegraph.motion.skeleton import CONVENTIONS, DEFAULT_NAMES, JOINTS
 
 if TYPE_CHECKING:
-    from kinegraph.motion.clip import Clip
+    from kinegraph.clip import Clip
 
 FLOAT, UNSIGNED_BYTE, UNSIGNED_SHORT = 5126, 5121, 5123
 ARRAY_BUFFER, ELEMENT_ARRAY_BUFFER = 34962, 34963
@@ -55,7 +54,7 @@ class _Buffer:
 
 def encode(clip: Clip, names: str = DEFAULT_NAMES) -> bytes:
     """The file of a clip; `names` is one of `joint_names.CONVENTIONS`."""
-    motion = solve_rotations(clip.joints, clip.fps, loops=clip.loops)
+    motion = rotations_from_positions(clip.joints, clip.fps, loops=clip.loops)
     still = np.zeros((1, JOINTS, 4)) + np.array([1.0, 0.0, 0.0, 0.0])
     rest = forward_kinematics(motion.rest_offsets, np.zeros((1, 3)), still)[0]
     buffer = _Buffer()

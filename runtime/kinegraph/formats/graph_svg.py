@@ -7,8 +7,7 @@ from dataclasses import dataclass, replace
 from typing import Final
 from xml.sax.saxutils import escape
 
-from kinegraph.graph import Action, Argument, SemanticGraph
-from kinegraph.text.roles import MOTION_ACTION
+from kinegraph.graph import MOTION_ACTION, Action, Argument, SemanticGraph
 
 COLUMNS: Final = (20.0, 290.0, 560.0)
 """Left edges of the three columns, pixels."""

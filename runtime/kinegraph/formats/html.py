@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any, Final
 from kinegraph.formats import glb
 
 if TYPE_CHECKING:
-    from kinegraph.motion.clip import Clip
+    from kinegraph.clip import Clip
 
 PARTS: Final = Path(__file__).parents[1] / "viewer"
 """Folder of `page.html`, `viewer.css` and `viewer.js`, which `npm run build` in `viewer/` makes."""

@@ -21,7 +21,7 @@ from kinegraph.graph import SemanticGraph
 from kinegraph.motion.skeleton import JOINT_NAMES
 
 if TYPE_CHECKING:
-    from kinegraph.motion.clip import Clip
+    from kinegraph.clip import Clip
 
 _EPOCH: Final = (1980, 1, 1, 0, 0, 0)
 _UNIX: Final = 3
@@ -63,7 +63,7 @@ def read_npz(path: str | os.PathLike[str]) -> Clip:
     Raises:
         InvalidInputError: no such file, or not a clip.
     """
-    from kinegraph.motion.clip import Clip
+    from kinegraph.clip import Clip
 
     try:
         with np.load(Path(path), allow_pickle=False) as pack:

@@ -19,7 +19,8 @@ from typing import Final
 
 import numpy as np
 
-from kinegraph.motion.skeleton import FEET, JOINTS, FloatArray, facing_angle
+from kinegraph.arrays import FloatArray
+from kinegraph.motion.skeleton import FEET, JOINTS, facing_angle
 
 YAW_VELOCITY: Final = slice(0, 1)
 ROOT_VELOCITY: Final = slice(1, 3)

@@ -5,17 +5,16 @@ Every function keeps the floating type of what it is given and broadcasts over t
 
 from __future__ import annotations
 
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
-FloatArray = NDArray[np.floating[Any]]
+from kinegraph.arrays import Floats
 
 IDENTITY: Final = (1.0, 0.0, 0.0, 0.0)
 
 
-def multiply(first: FloatArray, second: FloatArray) -> FloatArray:
+def multiply(first: Floats, second: Floats) -> Floats:
     """The turn that does `second`, then `first`."""
     a, b = first, second
     aw, ax, ay, az = a[..., 0], a[..., 1], a[..., 2], a[..., 3]
@@ -31,12 +30,12 @@ def multiply(first: FloatArray, second: FloatArray) -> FloatArray:
     )
 
 
-def conjugate(turn: FloatArray) -> FloatArray:
+def conjugate(turn: Floats) -> Floats:
     """The turn back."""
     return np.concatenate([turn[..., :1], -turn[..., 1:]], axis=-1)
 
 
-def rotate(turn: FloatArray, vector: FloatArray) -> FloatArray:
+def rotate(turn: Floats, vector: Floats) -> Floats:
     """`vector` (..., 3) turned."""
     turn, vector = _broadcast(turn, vector)
     axis = turn[..., 1:]
@@ -46,7 +45,7 @@ def rotate(turn: FloatArray, vector: FloatArray) -> FloatArray:
     return np.asarray(vector + 2.0 * (turn[..., :1] * once + twice))
 
 
-def between(start: FloatArray, end: FloatArray) -> FloatArray:
+def between(start: Floats, end: Floats) -> Floats:
     """The shortest turn that takes the direction `start` (..., 3) to `end`; lengths do not matter.
 
     Opposite directions have no shortest turn: one of the half turns is returned. A zero vector gives the
@@ -63,20 +62,20 @@ def between(start: FloatArray, end: FloatArray) -> FloatArray:
     return normalised(turn)
 
 
-def normalised(vector: FloatArray) -> FloatArray:
+def normalised(vector: Floats) -> Floats:
     """`vector` (..., n) at length 1; a zero vector stays zero."""
     length = np.sqrt((vector * vector).sum(-1, keepdims=True))
     return np.asarray(vector / np.where(length > 0, length, 1.0).astype(vector.dtype))
 
 
-def continuous(turns: FloatArray) -> FloatArray:
+def continuous(turns: Floats) -> Floats:
     """The same turns (frames, ..., 4) with signs chosen so that each lies next to the one before it."""
     dots = (turns[1:] * turns[:-1]).sum(-1)
     flips = np.cumprod(np.where(dots < 0, -1.0, 1.0), axis=0).astype(turns.dtype)
     return np.concatenate([turns[:1], turns[1:] * flips[..., None]])
 
 
-def slerp(first: FloatArray, second: FloatArray, share: FloatArray) -> FloatArray:
+def slerp(first: Floats, second: Floats, share: Floats) -> Floats:
     """The turn at `share` (...,) of the shorter way from `first` to `second` (Shoemake, 1985)."""
     dot = (first * second).sum(-1, keepdims=True)
     second = np.where(dot < 0, -second, second)
@@ -90,13 +89,13 @@ def slerp(first: FloatArray, second: FloatArray, share: FloatArray) -> FloatArra
     return normalised((left * first + right * second).astype(first.dtype))
 
 
-def to_matrix(turn: FloatArray) -> FloatArray:
+def to_matrix(turn: Floats) -> Floats:
     """Rotation matrices (..., 3, 3); columns are where the axes x, y, z go."""
     axes = np.eye(3, dtype=turn.dtype)
     return np.stack([rotate(turn, axes[index]) for index in range(3)], axis=-1)
 
 
-def from_matrix(matrix: FloatArray) -> FloatArray:
+def from_matrix(matrix: Floats) -> Floats:
     """Quaternions of rotation matrices (..., 3, 3), with w >= 0."""
     m = matrix
     diagonal = np.stack([m[..., 0, 0], m[..., 1, 1], m[..., 2, 2]], axis=-1)
@@ -114,7 +113,7 @@ def from_matrix(matrix: FloatArray) -> FloatArray:
     return normalised(np.where(row[..., :1] < 0, -row, row))
 
 
-def about_axis(axis: int, angle: FloatArray) -> FloatArray:
+def about_axis(axis: int, angle: Floats) -> Floats:
     """Turns by `angle` (...,) radians about x, y or z (0, 1, 2)."""
     turn = np.zeros((*angle.shape, 4), dtype=angle.dtype)
     turn[..., 0] = np.cos(angle / 2)
@@ -122,12 +121,12 @@ def about_axis(axis: int, angle: FloatArray) -> FloatArray:
     return turn
 
 
-def _broadcast(turn: FloatArray, vector: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _broadcast(turn: Floats, vector: Floats) -> tuple[Floats, Floats]:
     shape = np.broadcast_shapes(turn.shape[:-1], vector.shape[:-1])
     return np.broadcast_to(turn, (*shape, 4)), np.broadcast_to(vector, (*shape, 3))
 
 
-def _perpendicular(vector: FloatArray) -> FloatArray:
+def _perpendicular(vector: Floats) -> Floats:
     """Some direction at right angles to each vector."""
     flat = np.zeros_like(vector)
     smallest = np.argmin(np.abs(vector), axis=-1)

@@ -1,16 +1,18 @@
 """The 22-joint body that every part of kinegraph speaks: HumanML3D's order, the first 22 SMPL joints.
 
 Axes are right-handed, Y up, metres; a body faces +Z in its first frame and its left side is +X.
-"""
+
+Where a clip stands: on the floor, starting at the origin, facing +Z.
+
+What animation programs call the joints of `skeleton`."""
 
 from __future__ import annotations
 
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float32]
+from kinegraph.arrays import FloatArray
 
 JOINT_NAMES: Final[tuple[str, ...]] = (
     "pelvis",
@@ -82,3 +84,40 @@ def bone_lengths(joints: FloatArray) -> FloatArray:
     children = np.arange(1, JOINTS)
     lengths: FloatArray = np.linalg.norm(joints[:, children] - joints[:, list(PARENTS[1:])], axis=-1)
     return lengths
+
+
+def canonicalise(joints: FloatArray) -> FloatArray:
+    """The clip moved and turned as every clip of kinegraph starts.
+
+    The lowest joint of the whole clip is at y = 0; in the first frame the pelvis is at x = z = 0 and the body
+    faces +Z (`skeleton.facing_angle`).
+
+    Args:
+        joints: (frames, 22, 3) metres, Y up.
+
+    Returns:
+        (frames, 22, 3) float32.
+    """
+    joints = np.asarray(joints, dtype=np.float64)
+    origin = joints[0, PELVIS].copy()
+    origin[1] = joints[..., 1].min()
+    moved = joints - origin
+    heading = float(facing_angle(moved[:1])[0])
+    cos, sin = np.cos(heading), np.sin(heading)
+    x, y, z = moved[..., 0], moved[..., 1], moved[..., 2]
+    return np.stack([cos * x - sin * z, y, sin * x + cos * z], axis=-1).astype(np.float32)
+
+
+_MIXAMO: Final = (
+    "Hips", "LeftUpLeg", "RightUpLeg", "Spine", "LeftLeg", "RightLeg", "Spine1", "LeftFoot", "RightFoot", "Spine2",
+    "LeftToeBase", "RightToeBase", "Neck", "LeftShoulder", "RightShoulder", "Head", "LeftArm", "RightArm",
+    "LeftForeArm", "RightForeArm", "LeftHand", "RightHand",
+)  # fmt: skip
+
+DEFAULT_NAMES: Final = "smpl"
+
+CONVENTIONS: Final[dict[str, tuple[str, ...]]] = {
+    "smpl": JOINT_NAMES,
+    "mixamo": tuple(f"mixamorig:{name}" for name in _MIXAMO),
+}
+"""Convention -> names in the order of `skeleton.JOINT_NAMES`."""

@@ -16,12 +16,11 @@ from kinegraph.errors import BundleError, InvalidInputError
 from kinegraph.graph import Action, Argument, SemanticGraph
 from kinegraph.limits import MAX_NODES, MAX_TEXT
 from kinegraph.text import lexicon
-from kinegraph.text.analysis import Analyser, Analysis
-from kinegraph.text.phrases import is_action, trimmed
-from kinegraph.text.ranker import ArgumentRanker, Candidates, candidates
-from kinegraph.text.rules import CONTENT, Frame, frame, is_certain, is_passive
-from kinegraph.text.spans import Span
-from kinegraph.text.tokens import check_unicode
+from kinegraph.text.argument_classifier import ArgumentClassifier, Candidates, candidates
+from kinegraph.text.candidates import Span
+from kinegraph.text.dependency import DependencyParse, DependencyParser
+from kinegraph.text.rules import CONTENT, Frame, frame, is_action, is_certain, is_passive, trimmed
+from kinegraph.text.tokenizer import check_unicode
 
 
 class GraphParser:
@@ -37,8 +36,8 @@ class GraphParser:
     """
 
     def __init__(self, pipeline_bytes: bytes, argument_weights: bytes | None = None) -> None:
-        self._analyser = Analyser(pipeline_bytes)
-        self._ranker = None if argument_weights is None else ArgumentRanker(argument_weights)
+        self._analyser = DependencyParser(pipeline_bytes)
+        self._ranker = None if argument_weights is None else ArgumentClassifier(argument_weights)
 
     def parse(self, caption: str) -> SemanticGraph:
         """The graph of a caption, offsets in its characters; never empty for a caption with words in it.
@@ -48,16 +47,16 @@ class GraphParser:
         """
         check_caption(caption)
         analysis = self.analyse(caption)
-        frames = skeleton(analysis)
+        frames = predicate_frames(analysis)
         if self._ranker is not None:
             for found, options in zip(frames, frame_candidates(analysis, frames), strict=True):
                 choice = self._ranker.choose(options)
                 found.arguments = with_certain(choice.taken, found)
                 found.others = choice.ranked
-        cover(analysis.parsed, frames)
-        return assembled(caption, analysis.written, frames)
+        attach_uncovered_words(analysis.parsed, frames)
+        return build_graph(caption, analysis.written, frames)
 
-    def analyse(self, caption: str) -> Analysis:
+    def analyse(self, caption: str) -> DependencyParse:
         """The words of a checked caption with their dependency parse."""
         return self._analyser(clean(caption))
 
@@ -113,13 +112,13 @@ def clean(caption: str) -> str:
     return "".join(char if char.isprintable() else " " for char in caption)
 
 
-def skeleton(analysis: Analysis) -> list[Frame]:
+def predicate_frames(analysis: DependencyParse) -> list[Frame]:
     """The actions of a caption, at least one, with their arguments by the rules."""
     doc = analysis.parsed
     return [frame(token) for token in doc if is_action(token)] or [fallback_frame(doc)]
 
 
-def frame_candidates(analysis: Analysis, frames: list[Frame]) -> list[Candidates]:
+def frame_candidates(analysis: DependencyParse, frames: list[Frame]) -> list[Candidates]:
     """What the linear model chooses from, for each action."""
     rules = [{span: role for role, span in found.arguments} for found in frames]
     voices = ["pass" if is_passive(found.head) else "act" for found in frames]
@@ -143,7 +142,7 @@ def fallback_frame(doc: Any) -> Frame:
     return frame((events or [token.sent.root for token in content if token.sent.root in worded] or worded)[0])
 
 
-def cover(doc: Any, frames: list[Frame]) -> None:
+def attach_uncovered_words(doc: Any, frames: list[Frame]) -> None:
     """Give words with content that no node holds to the action nearest above them (or before them)."""
     held = {found.head.i for found in frames}
     for found in frames:
@@ -193,7 +192,7 @@ def _nearest(token: Any, frames: list[Frame]) -> Frame:
     return min(frames, key=lambda found: abs(found.head.i - token.i))
 
 
-def assembled(caption: str, doc: Any, frames: list[Frame]) -> SemanticGraph:
+def build_graph(caption: str, doc: Any, frames: list[Frame]) -> SemanticGraph:
     """Frames as a graph; past `limits.MAX_NODES` the last specifics go first, then the last actions."""
     frames = frames[: MAX_NODES - 1]
     room = MAX_NODES - 1 - len(frames)

@@ -1,4 +1,10 @@
-"""Semantic roles from a dependency parse, by rules.
+"""Actions and phrases of a dependency parse: which tokens are verbs of their own, and which words belong to one.
+
+A token is a spaCy token; spans are (first, last) token numbers, last included.
+
+Types of arguments by their own words, for the rules.
+
+Semantic roles from a dependency parse, by rules.
 
 A token is a spaCy token; spans are (first, last) token numbers, last included.
 """
@@ -8,11 +14,154 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from itertools import pairwise
+from typing import Any
 
 from kinegraph.text import lexicon as words
-from kinegraph.text.phrases import CLAUSES, Token, describes_mover, is_action, phrase, trimmed
-from kinegraph.text.role_rules import adverb_role, clause_role, endpoint_role, noun_adverb_role, prepositional_role
-from kinegraph.text.spans import Span
+from kinegraph.text.candidates import Span, has_word
+
+Token = Any
+
+CLAUSES = frozenset(("relcl", "acl"))
+
+
+def is_action(token: Token) -> bool:
+    """A full verb, or "be" and the like where they are the clause's main verb."""
+    if not has_word(token.text):
+        return False
+    if token.lower_ == "left" and token.i > token.head.i:  # "turns left 90 degrees", taken for "to leave"
+        return False
+    if token.lower_ in words.NEVER_VERBS or (token.i and token.nbor(-1).text == "-"):  # "mid-walk"
+        return False
+    if token.dep_ == "auxpass" and token.lower_ in words.GET:  # "gets pushed": PropBank's own verb
+        return True
+    if describes_mover(token):
+        return True
+    if token.pos_ == "VERB":
+        return token.dep_ not in ("aux", "auxpass", "amod", "case", "compound", "prep")
+    return token.pos_ == "AUX" and token.dep_ in ("ROOT", "ccomp", "advcl", "relcl", "conj", "parataxis", "pcomp")
+
+
+def describes_mover(token: Token) -> bool:
+    """ "a kneeling person": an action of its own, whatever its tag."""
+    return (
+        token.dep_ in ("amod", "compound")
+        and token.lower_.endswith("ing")
+        and token.head.i > token.i
+        and token.head.lower_ in words.SUBJECT_NOUNS
+    )
+
+
+def words_below(token: Token) -> list[Token]:
+    """The subtree of a token without clauses that are actions of their own and without coordinated verbs."""
+    found = [token]
+    for child in token.children:
+        if child.dep_ in CLAUSES or (child.dep_ == "punct" and child.i == token.right_edge.i):
+            continue
+        if child.dep_ in ("conj", "cc") and (token.pos_ in ("VERB", "AUX") or _leads_to_action(child, token)):
+            continue
+        found += words_below(child)
+    return found
+
+
+def _leads_to_action(child: Token, parent: Token) -> bool:
+    if child.dep_ == "conj":
+        return is_action(child)
+    later = [other for other in parent.children if other.dep_ == "conj" and other.i > child.i]
+    return bool(later) and is_action(later[0])
+
+
+def phrase(token: Token) -> Span | None:
+    """The run of neighbouring words around a token that belong to it, without punctuation at its ends."""
+    numbers = {word.i for word in words_below(token)}
+    first = last = token.i
+    while first - 1 in numbers:
+        first -= 1
+    while last + 1 in numbers:
+        last += 1
+    return trimmed(token.doc, (first, last))
+
+
+def trimmed(doc: Any, span: Span) -> Span | None:
+    """Without punctuation and conjunctions at the ends; None if nothing is left."""
+    first, last = span
+    while first <= last and (not has_word(doc[first].text) or doc[first].dep_ == "cc"):
+        first += 1
+    while first <= last and (not has_word(doc[last].text) or doc[last].dep_ == "cc"):
+        last -= 1
+    return (first, last) if first <= last else None
+
+
+def adverb_role(token: Token) -> str:
+    """Of an adverb, by its own word, then by its ending."""
+    word = token.lower_
+    for role, known in (
+        ("ARGM-DIR", words.DIRECTION_ADVERBS),
+        ("ARGM-TMP", words.TIME_ADVERBS),
+        ("ARGM-LOC", words.PLACE_ADVERBS),
+        ("ARGM-ADV", words.DISCOURSE_ADVERBS),
+        ("OTHERS", words.OTHER_ADVERBS),
+        ("ARGM-MNR", words.MANNER_ADVERBS),
+    ):
+        if word in known:
+            return role
+    return "ARGM-MNR" if word.endswith(("ly", "wise")) else "ARGM-ADV"
+
+
+def endpoint_role(token: Token, head: Token) -> str | None:
+    """Numbered roles of verbs of travel and transfer: ARG3 where from, ARG4 where to, ARG2 onto what."""
+    below = {word.lemma_.lower() for word in words_below(token)}
+    if below & (words.SIDE_NOUNS | words.WAYS):
+        return None
+    verb, word = head.lemma_.lower(), token.lower_
+    if verb in words.TRAVEL and word in ("from", "to"):
+        return "ARG3" if word == "from" else "ARG4"
+    return (
+        "ARG2" if verb in words.TRANSFER and word in ("to", "on", "onto", "in", "into", "from", "at", "with") else None
+    )
+
+
+def prepositional_role(token: Token) -> str:
+    """Of a prepositional phrase, by its preposition and its object."""
+    word = token.lower_
+    below = {word.lemma_.lower() for word in words_below(token)} - {word}
+    if word in ("in", "at", "with", "without", "on") and below & words.CIRCLE_NOUNS and word != "on":
+        return "ARGM-MNR"
+    if word in ("in", "at", "on", "by") and below & words.WAYS:
+        return "ARGM-MNR"
+    if word in ("to", "on", "at", "from") and below & words.SIDE_NOUNS:
+        return "ARGM-DIR" if word != "on" else "ARGM-LOC"
+    if below & words.TIME_NOUNS and word in ("for", "at", "in", "after", "before", "of"):
+        return "ARGM-TMP"
+    if word in words.DIRECTION_PREPOSITIONS:
+        return "ARGM-DIR"
+    if word in words.MANNER_PREPOSITIONS:
+        return "ARGM-MNR"
+    if word in words.TIME_PREPOSITIONS:
+        return "ARGM-TMP" if word != "for" else "ARGM-ADV"
+    return "ARGM-LOC" if word in words.PLACE_PREPOSITIONS else "ARGM-ADV"
+
+
+def clause_role(token: Token) -> str:
+    """Of an adverbial clause, by its marker."""
+    markers = {child.lower_ for child in token.children if child.dep_ in ("mark", "advmod")}
+    if markers & {"if", "though"} and "as" in markers | {child.lower_ for child in token.lefts}:
+        return "ARGM-MNR"
+    if markers & words.TIME_MARKERS:
+        return "ARGM-TMP"
+    if any(child.tag_ == "TO" for child in token.children):
+        return "OTHERS"
+    return "ARGM-MNR" if token.lemma_.lower() in words.STATIVE | {"show", "lack", "act", "use"} else "ARGM-ADV"
+
+
+def noun_adverb_role(token: Token) -> str:
+    """Of a bare noun phrase used as an adverb: how often, which way, how far."""
+    word = token.lemma_.lower()
+    if word in words.TIME_NOUNS:
+        return "ARGM-TMP"
+    if word in words.SIDE_NOUNS | words.DIRECTION_ADVERBS:
+        return "ARGM-DIR"
+    return "ARGM-MNR" if word in words.MANNER_NOUNS and word != "step" else "OTHERS"
+
 
 SUBJECTS = frozenset(("nsubj", "csubj", "expl"))
 PASSIVE_SUBJECTS = frozenset(("nsubjpass", "csubjpass"))

@@ -18,7 +18,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor, nn
 
-from kinegraph_training.models.denoiser import CrossAttention, Denoiser, Mixing
+from kinegraph_training.models.denoiser import CrossAttention, Denoiser, RowMixing
 from kinegraph_training.models.transformer import MASKED, attend, merge_heads, split_heads
 
 
@@ -52,7 +52,7 @@ class MovingCrossAttention(CrossAttention):
         self.coarse_tokens = coarse_tokens
 
     def forward(  # type: ignore[override]
-        self, x: Tensor, context: MovingContext, bias: Tensor, mixing: Mixing | None
+        self, x: Tensor, context: MovingContext, bias: Tensor, mixing: RowMixing | None
     ) -> Tensor:
         """x (r, c, d), bias (a, 1, 1 or c, s) -> (r, c, d); padding and the coarser latent's tokens do not move."""
         key, value = (split_heads(part, self.heads) for part in self.key_value(context.tokens).chunk(2, dim=-1))
@@ -63,11 +63,11 @@ class MovingCrossAttention(CrossAttention):
         to_context = self.key_value.weight[: self.query.out_features]
         step = ascent(query, key, log_weight, context.gamma) @ to_context
         context.tokens = context.tokens + step * moves.to(step.dtype)[..., None]
-        return self.mixed(attend(query, key, value, bias), mixing)
+        return self.combine_rows(attend(query, key, value, bias), mixing)
 
 
-class AgdStepNetwork(nn.Module):
-    """`StepNetwork` with a context that moves: the same weights, and those that make its keys and values."""
+class AgdNoisePredictor(nn.Module):
+    """`NoisePredictor` with a context that moves: the same weights, and those that make its keys and values."""
 
     def __init__(self, denoiser: Denoiser) -> None:
         super().__init__()
@@ -84,8 +84,9 @@ class AgdStepNetwork(nn.Module):
         context: Tensor,
         gamma: Tensor,
         bias: Tensor,
-        mixing: Mixing | None = None,
+        mixing: RowMixing | None = None,
     ) -> Tensor:
-        """As `StepNetwork`, with context (a, s, d) and gamma (a, 2); each call starts from the context it is given."""
+        """As `NoisePredictor`, with context (a, s, d) and gamma (a, 2); each call starts from the context it is
+        given."""
         moving = MovingContext(context, gamma)
         return self.step(latent, modulation, [(moving,)] * len(self.step.layers), bias, mixing)

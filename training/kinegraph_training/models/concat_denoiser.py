@@ -9,7 +9,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor, nn
 
-from kinegraph_training.models.denoiser import ContextTokens, DenoiserConfig, LatentShape, TimeAndLength
+from kinegraph_training.models.denoiser import ContextTokens, DenoiserConfig, LatentShape, TimestepLengthEmbedding
 from kinegraph_training.models.transformer import EncoderLayer, SkipStack
 
 
@@ -38,5 +38,5 @@ class ConcatDenoiser(nn.Module):
     def __init__(self, config: DenoiserConfig, latent: LatentShape, coarse: LatentShape | None) -> None:
         super().__init__()
         self.context = ContextTokens(config, coarse)
-        self.clock = TimeAndLength(config)
+        self.clock = TimestepLengthEmbedding(config)
         self.step = ConcatStep(config, latent)

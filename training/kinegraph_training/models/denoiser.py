@@ -1,7 +1,8 @@
 """The three cross-attention denoisers (GraphMotion, section 3.3; conditions by cross-attention as in EnergyMoGen).
 
-Split along what changes: `ContextEncoder` runs once per sample and yields every layer's keys and values, `Clock` once
-for all diffusion steps, `StepNetwork` at every diffusion step on the latent tokens alone.
+Split along what changes: `ContextEncoder` runs once per sample and yields every layer's keys and values,
+`AdaLNModulation` once
+for all diffusion steps, `NoisePredictor` at every diffusion step on the latent tokens alone.
 
 Shapes: r latent rows, a attention rows (r = a in training), c latent tokens, z latent width, n nodes, s context
 tokens, d width, h heads, m modulations.
@@ -16,7 +17,7 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
-from kinegraph.contract import LEVELS, MODULATIONS, NODE_KINDS, NULL_KIND
+from kinegraph.bundle.contract import LEVELS, MODULATIONS, NODE_KINDS, NULL_KIND
 from kinegraph.errors import InvalidInputError
 from kinegraph_training.models.transformer import (
     FeedForward,
@@ -87,7 +88,7 @@ class LatentShape:
 
 
 @dataclass(frozen=True)
-class Mixing:
+class RowMixing:
     """How attention rows and latent rows belong together; None in training, where they are the same."""
 
     src: Tensor
@@ -139,7 +140,7 @@ class ContextEncoder(ContextTokens):
         return [(split_heads(key, self.heads), split_heads(value, self.heads)) for key, value in pairs]
 
 
-class TimeAndLength(nn.Module):
+class TimestepLengthEmbedding(nn.Module):
     """Embedding of the diffusion step plus that of the clip's length: a latent that does not know how long its clip
     is comes out time-warped."""
 
@@ -156,7 +157,7 @@ class TimeAndLength(nn.Module):
         return self.time(sinusoid(step.float(), self.width)) + self.length(sinusoid(frames.float(), self.width))
 
 
-class Clock(TimeAndLength):
+class AdaLNModulation(TimestepLengthEmbedding):
     """Adaptive LayerNorm (Peebles & Xie, 2023): scale and shift of every normalisation, from step and length."""
 
     def __init__(self, config: DenoiserConfig) -> None:
@@ -168,7 +169,7 @@ class Clock(TimeAndLength):
         self.out.bias = nn.Parameter(start.flatten())
 
     def forward(self, step: Tensor, frames: Tensor) -> Tensor:
-        """As `TimeAndLength` -> (..., m, d), m = layers x MODULATIONS."""
+        """As `TimestepLengthEmbedding` -> (..., m, d), m = layers x MODULATIONS."""
         both = self.out(nn.functional.silu(super().forward(step, frames)))
         return both.unflatten(-1, (-1, self.width))
 
@@ -185,15 +186,15 @@ class CrossAttention(nn.Module):
         self.query = nn.Linear(width, width)
         self.out = nn.Linear(width, width)
 
-    def forward(self, x: Tensor, key: Tensor, value: Tensor, bias: Tensor, mixing: Mixing | None) -> Tensor:
-        return self.mixed(attend(self.queries(x, mixing), key, value, bias), mixing)
+    def forward(self, x: Tensor, key: Tensor, value: Tensor, bias: Tensor, mixing: RowMixing | None) -> Tensor:
+        return self.combine_rows(attend(self.queries(x, mixing), key, value, bias), mixing)
 
-    def queries(self, x: Tensor, mixing: Mixing | None) -> Tensor:
+    def queries(self, x: Tensor, mixing: RowMixing | None) -> Tensor:
         """(r, c, d) -> (a, h, c, d/h)."""
         query = split_heads(self.query(x), self.heads)
         return query if mixing is None else query[mixing.src]
 
-    def mixed(self, attended: Tensor, mixing: Mixing | None) -> Tensor:
+    def combine_rows(self, attended: Tensor, mixing: RowMixing | None) -> Tensor:
         """(a, h, c, d/h) -> (r, c, d)."""
         merged = merge_heads(attended)
         if mixing is None:
@@ -203,7 +204,7 @@ class CrossAttention(nn.Module):
 
 
 class AdaptiveNorm(nn.LayerNorm):
-    """LayerNorm with the scale and shift that a `Clock` hands out."""
+    """LayerNorm with the scale and shift that a `AdaLNModulation` hands out."""
 
     def __init__(self, width: int) -> None:
         super().__init__(width, elementwise_affine=False)
@@ -225,7 +226,7 @@ class DenoiserLayer(nn.Module):
         self.dropout = nn.Dropout(config.dropout)
 
     def forward(
-        self, x: Tensor, modulation: Sequence[Tensor], pair: tuple[Any, ...], bias: Tensor, mixing: Mixing | None
+        self, x: Tensor, modulation: Sequence[Tensor], pair: tuple[Any, ...], bias: Tensor, mixing: RowMixing | None
     ) -> Tensor:
         """modulation: scale and shift of the three normalisations, (r, 1, d) each; pair: what the cross-attention
         attends to, key and value unless it makes its own (`agd`)."""
@@ -235,7 +236,7 @@ class DenoiserLayer(nn.Module):
         return x + self.dropout(self.feed(self.norm(x, before_feed, shift_feed)))
 
 
-class StepNetwork(SkipStack):
+class NoisePredictor(SkipStack):
     """Predicts the noise in a latent, one diffusion step."""
 
     def __init__(self, config: DenoiserConfig, latent: LatentShape) -> None:
@@ -250,7 +251,7 @@ class StepNetwork(SkipStack):
         modulation: Tensor,
         context: Sequence[tuple[Any, ...]],
         bias: Tensor,
-        mixing: Mixing | None = None,
+        mixing: RowMixing | None = None,
     ) -> Tensor:
         """latent (r, c, z), modulation (r, m, d), context of (a, h, s, d/h), bias (a, 1, 1 or c, s) -> (r, c, z)."""
         x = self.latent_in(latent) + self.position
@@ -270,5 +271,5 @@ class Denoiser(nn.Module):
     def __init__(self, config: DenoiserConfig, latent: LatentShape, coarse: LatentShape | None) -> None:
         super().__init__()
         self.context = ContextEncoder(config, coarse)
-        self.clock = Clock(config)
-        self.step = StepNetwork(config, latent)
+        self.clock = AdaLNModulation(config)
+        self.step = NoisePredictor(config, latent)

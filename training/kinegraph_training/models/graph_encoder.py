@@ -6,8 +6,8 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from kinegraph.contract import PADDING_BIAS
-from kinegraph.text.roles import ROLES
+from kinegraph.bundle.contract import PADDING_BIAS
+from kinegraph.graph import ROLES
 
 
 class GraphEncoder(nn.Module):

@@ -13,7 +13,7 @@ from kinegraph_training.models.graph_encoder import GraphEncoder
 
 @dataclass(frozen=True)
 class GraphBatch:
-    """b graphs of n nodes as tensors; see kinegraph.conditions.GraphArrays."""
+    """b graphs of n nodes as tensors; see kinegraph.conditioning.GraphArrays."""
 
     nodes: Tensor
     relation: Tensor

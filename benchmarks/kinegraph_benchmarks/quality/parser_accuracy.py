@@ -1,0 +1,169 @@
+"""How well sentences are parsed: against gold graphs, folds grouped by caption, and on harder sentences of our own.
+
+    python -m kinegraph_benchmarks.quality.parser_accuracy --gold graphs/kit_gold_dev.jsonl \
+        --captions DATA/bandai/captions.jsonl \
+        --out parser_accuracy.json
+
+The gold's own scorer (`score_graphs.py` beside it) does the counting. Captions that differ in case or punctuation only
+are in one fold. The harder sentences (`parser/`) are scored by weights trained on all of the gold; the half "dev" was
+looked at while the parser was made and is trained on besides for the half "held out", which was not.
+"""
+
+from __future__ import annotations
+
+import argparse
+import importlib.util
+import json
+import random
+import sys
+import time
+from collections.abc import Iterable
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import torch
+
+from kinegraph.bundle.reader import DEFAULT_BUNDLE
+from kinegraph.text.argument_classifier import packed
+from kinegraph.text.parser import GraphParser
+from kinegraph_benchmarks.common.report_io import write_report
+from kinegraph_training.train_parser import (
+    RULE_CAPTIONS,
+    Examples,
+    examples,
+    fit,
+    read_gold,
+    rule_examples,
+    sampled_captions,
+)
+
+HARD = Path(__file__).parents[2] / "parser"
+SHOWN = {
+    "action": "actions",
+    "argument_exact": "span",
+    "labeled_exact": "typed span",
+    "labeled_exact_matched_actions": "typed span, shared actions",
+}
+
+
+def read_scorer(path: Path) -> ModuleType:
+    """The gold's scorer as a module."""
+    spec = importlib.util.spec_from_file_location("score_graphs", path)
+    if spec is None or spec.loader is None:
+        raise SystemExit(f"{path} is no Python file")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def folds_of(captions: Iterable[str], count: int, seed: int, scorer: ModuleType) -> dict[str, int]:
+    """Fold of each caption; those that are alike but for case and punctuation share one."""
+    groups = sorted({scorer.normal(caption) for caption in captions})
+    random.Random(seed).shuffle(groups)
+    place = {group: number % count for number, group in enumerate(groups)}
+    return {caption: place[scorer.normal(caption)] for caption in captions}
+
+
+def parsed(parser: GraphParser, captions: Iterable[str], scorer: ModuleType) -> dict[str, Any]:
+    """Graphs as the scorer keeps them, by caption."""
+    found = {}
+    for caption in captions:
+        name, graph, _ = scorer.read_graph(json.loads(parser.parse(caption).to_json()), caption)
+        found[name] = graph
+    return found
+
+
+def cross_validated(
+    parts: list[Examples], rest: Examples, folds: dict[str, int], pipeline: bytes, scorer: ModuleType
+) -> dict[str, Any]:
+    """Every caption parsed by weights that saw none of its fold."""
+    found: dict[str, Any] = {}
+    for fold in range(len(parts)):
+        seen = sum((part for number, part in enumerate(parts) if number != fold), rest)
+        parser = GraphParser(pipeline, packed(*fit(seen), ""))
+        found |= parsed(parser, [caption for caption, own in folds.items() if own == fold], scorer)
+    return found
+
+
+def milliseconds(parser: GraphParser, captions: list[str]) -> float:
+    """Median time of one caption, warm."""
+    times = []
+    for caption in captions:
+        parser.parse(caption)
+        start = time.perf_counter()
+        parser.parse(caption)
+        times.append(time.perf_counter() - start)
+    return sorted(times)[len(times) // 2] * 1e3
+
+
+def measured(options: argparse.Namespace, scorer: ModuleType) -> dict[str, Any]:
+    """All scores."""
+    pipeline = options.parser.read_bytes()
+    rules = GraphParser(pipeline)
+    graphs, gold = read_gold(options.gold), list(scorer.read_file(options.gold))
+    rest = rule_examples(rules, sampled_captions(options.captions, RULE_CAPTIONS))
+    folds = folds_of([graph["caption"] for graph in graphs], options.folds, options.seed, scorer)
+    parts = [
+        examples(rules, [graph for graph in graphs if folds[graph["caption"]] == fold]) for fold in range(options.folds)
+    ]
+    learnt = cross_validated(parts, rest, folds, pipeline, scorer)
+    alone = parsed(rules, folds, scorer)
+    scores = {
+        "gold, all captions": scorer.score(gold, learnt),
+        "gold, each caption once": scorer.score(gold, learnt, True),
+        "gold, each once, rules alone": scorer.score(gold, alone, True),
+    }
+    everything = sum(parts, rest)
+    halves = {"hard sentences, dev": (HARD / "hard_sentences_dev.jsonl", everything)}
+    if options.held_out:
+        dev = examples(rules, read_gold(HARD / "hard_sentences_dev.jsonl"))
+        halves["hard sentences, held out"] = (HARD / "hard_sentences_held_out.jsonl", everything + dev)
+    for name, (path, seen) in halves.items():
+        own = list(scorer.read_file(path))
+        parser = GraphParser(pipeline, packed(*fit(seen), ""))
+        scores[name] = scorer.score(own, parsed(parser, [caption for caption, _, _ in own], scorer))
+        scores[f"{name}, rules alone"] = scorer.score(own, parsed(rules, [caption for caption, _, _ in own], scorer))
+    return {
+        "folds": options.folds,
+        "seed": options.seed,
+        "milliseconds_per_caption": milliseconds(parser, sorted(folds)),
+        "scores": scores,
+    }
+
+
+def table(result: dict[str, Any]) -> str:
+    """Markdown: F1 of actions and arguments, and whole graphs."""
+    lines = [
+        "| F1 | captions | " + " | ".join(SHOWN.values()) + " | whole graph |",
+        "|---|" + "---|" * (len(SHOWN) + 2),
+    ]
+    for name, report in result["scores"].items():
+        numbers = [report[key]["f1"] for key in SHOWN] + [report["graph_exact_labeled"]]
+        lines.append(f"| {name} | {report['captions']} | " + " | ".join(f"{number:.3f}" for number in numbers) + " |")
+    lines += ["", f"{result['folds']} folds, seed {result['seed']}."]
+    return "\n".join(lines) + "\n"
+
+
+def main() -> int:
+    """Measure and write."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--gold", type=Path, required=True, help="gold graphs, JSON lines")
+    parser.add_argument("--scorer", type=Path, help="score_graphs.py; the one beside the gold without it")
+    parser.add_argument("--captions", type=Path, required=True, help="captions.jsonl of the motion")
+    parser.add_argument("--parser", type=Path, default=DEFAULT_BUNDLE / "parser.bin", help="the spaCy pipeline")
+    parser.add_argument("--folds", type=int, default=5)
+    parser.add_argument("--seed", type=int, default=0, help="of the folds")
+    parser.add_argument(
+        "--held-out", action="store_true", help="the held-out half, too: for a last figure, not to tune"
+    )
+    parser.add_argument("--out", type=Path, required=True, help="JSON file; a .md file is written beside it")
+    options = parser.parse_args()
+    torch.set_num_threads(1)
+    result = measured(options, read_scorer(options.scorer or options.gold.with_name("score_graphs.py")))
+    write_report(options.out, result, table(result))
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

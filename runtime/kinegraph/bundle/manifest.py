@@ -1,0 +1,394 @@
+"""`manifest.json`: what a bundle is. Read-only facts; what a call wants lives in `kinegraph.options`.
+
+Checks across the fields of a manifest: what types alone cannot say."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Final, Literal
+
+from kinegraph.bundle.contract import (
+    AGD_CONTEXTS,
+    AGD_STEPS,
+    GRAPHS,
+    LEVELS,
+    NODE_KINDS,
+    OPTIONAL_GRAPHS,
+    GraphContract,
+    LevelSpec,
+    contracts,
+)
+from kinegraph.bundle.strict_json import decode, parse_object, plain
+from kinegraph.diffusion.sampling import NoiseSchedule
+from kinegraph.errors import BundleFormatError, BundleIntegrityError, InvalidInputError
+from kinegraph.graph import ROLES
+from kinegraph.limits import MAX_FRAMES
+from kinegraph.motion.skeleton import JOINT_NAMES, PARENTS
+
+
+@dataclass(frozen=True)
+class Licence:
+    """Licence of each part, as `kinegraph info` prints it."""
+
+    code: str
+    weights: str
+    data: str
+    text_encoder: str
+    parser: str
+
+
+@dataclass(frozen=True)
+class SkeletonSpec:
+    joint_names: tuple[str, ...]
+    parents: tuple[int, ...]
+
+
+@dataclass(frozen=True)
+class FrameSpec:
+    """Frames one clip may have."""
+
+    min: int
+    max: int
+    per_token: int
+    """Frames per token of the decoder's sequence; the frame mask is padded to a multiple of it."""
+
+
+@dataclass(frozen=True)
+class FeatureSpec:
+    layout: Literal["joints-137", "humanml3d-263"]
+    heading: Literal["true", "humanml3d"]
+    mean: tuple[float, ...]
+    std: tuple[float, ...]
+    """Features are `decoded * std + mean`."""
+
+
+@dataclass(frozen=True)
+class TextSpec:
+    width: int
+    """D, width of the text encoder's states."""
+    mask_token: str
+    """What a masked word is replaced by in the caption."""
+
+
+@dataclass(frozen=True)
+class ScheduleSpec:
+    """Noise schedule: betas are `linspace(sqrt(beta_start), sqrt(beta_end), train_steps) ** 2`."""
+
+    train_steps: int
+    beta_start: float
+    beta_end: float
+    steps_offset: int
+    spacing: Literal["leading", "trailing"]
+    prediction: Literal["epsilon"]
+
+    @property
+    def noise(self) -> NoiseSchedule:
+        """The schedule to sample with."""
+        return NoiseSchedule(self.train_steps, self.beta_start, self.beta_end, self.steps_offset, self.spacing)
+
+
+@dataclass(frozen=True)
+class Defaults:
+    """What a call gets that does not say otherwise."""
+
+    steps: Mapping[str, int]
+    """Diffusion steps per level."""
+    guidance: Mapping[str, float]
+    """Guidance scale per level."""
+    guidance_base: Literal["empty", "coarse"]
+    """What guidance leads away from: GraphMotion's "empty" set (Eq. A), or no text beside the "coarse"r latent."""
+    seconds: float
+
+
+@dataclass(frozen=True)
+class FileSpec:
+    sha256: str
+    bytes: int
+
+
+@dataclass(frozen=True)
+class Manifest:
+    """All of `manifest.json`; made by `decode_manifest`, written by `to_json`."""
+
+    format_version: int
+    name: str
+    version: str
+    licence: Licence
+    provenance: Mapping[str, str]
+    """Training data, sources and hashes of text encoder and parser, versions of the build tools."""
+    scope: Mapping[str, str]
+    """What the model can do and what it cannot, in words: actions, manners, and so on."""
+    skeleton: SkeletonSpec
+    fps: float
+    frames: FrameSpec
+    features: FeatureSpec
+    text: TextSpec
+    levels: Mapping[str, LevelSpec]
+    schedule: ScheduleSpec
+    defaults: Defaults
+    roles: tuple[str, ...]
+    precision: Literal["fp32", "int8"]
+    files: Mapping[str, FileSpec]
+    operators: Mapping[str, tuple[str, ...]]
+    """Graph file -> sorted `domain::OpType`; `kinegraph verify` compares them with the graphs."""
+    parity: Mapping[str, float]
+    training: Mapping[str, str | float | int]
+    quality: Mapping[str, float]
+
+    def __post_init__(self) -> None:
+        check_manifest(self)
+
+    @property
+    def contracts(self) -> dict[str, GraphContract]:
+        """Contract of every graph of this bundle, by name."""
+        declared = contracts(self.levels, self.text.width, len(self.features.mean))
+        return {name: contract for name, contract in declared.items() if contract.file in self.files}
+
+    @property
+    def seconds_limits(self) -> tuple[float, float]:
+        """Shortest and longest clip, seconds."""
+        return self.frames.min / self.fps, self.frames.max / self.fps
+
+
+# A manifest ends with its own SHA-256, over every byte before it: no other file vouches for this one,
+# and a flipped bit in a mean or a scale would otherwise change the motion without a sign.
+_SEAL: Final = re.compile(rb',\n "sha256": "([0-9a-f]{64})"\n}\n\Z')
+
+
+def to_json(manifest: Manifest) -> bytes:
+    """The content of `manifest.json`, sealed with its own SHA-256."""
+    # allow_nan=False: a NaN quality figure must fail here, not at every user's load.
+    text = json.dumps(plain(manifest), indent=1, ensure_ascii=False, allow_nan=False)
+    return seal(text.removesuffix("\n}").encode())
+
+
+def seal(body: bytes) -> bytes:
+    """Close the text of a JSON object (without its last newline and brace) with the SHA-256 of that text."""
+    return body + b',\n "sha256": "' + hashlib.sha256(body).hexdigest().encode() + b'"\n}\n'
+
+
+def decode_manifest(data: bytes) -> Manifest:
+    """Read and check the content of `manifest.json`.
+
+    Raises:
+        BundleIntegrityError: the bytes differ from the SHA-256 at their end.
+        BundleFormatError: unknown or missing key, wrong type, number not finite, wrong version, or fields
+            that contradict each other; the message names the path of the key.
+    """
+    end = _SEAL.search(data[-100:])
+    if end is None:
+        raise BundleIntegrityError(
+            "manifest.json does not end with its own sha256: it was cut, edited or written by another "
+            "program; fetch the bundle again or export it again"
+        )
+    body = data[: len(data) - len(end.group(0))]
+    if hashlib.sha256(body).hexdigest().encode() != end.group(1):
+        raise BundleIntegrityError(
+            "manifest.json differs from the sha256 at its end; fetch the bundle again or export it again"
+        )
+    value = parse_object(body + b"\n}", "manifest.json")
+    # The version first: a newer format has other keys, and "unknown key" would send the reader the wrong way.
+    if type(value.get("format_version")) is int:
+        check_version(value["format_version"])
+    return decode(Manifest, value, "manifest.json")
+
+
+def describe_file(data: bytes) -> FileSpec:
+    """Entry of `files` for a file with this content."""
+    return FileSpec(sha256=hashlib.sha256(data).hexdigest(), bytes=len(data))
+
+
+FORMAT_VERSION: Final = 3
+OLDEST_VERSION: Final = 2
+"""Format 2 knows no coarse decoders and no graphs of adaptive gradient descent."""
+
+GRAPH_FILES: Final[tuple[str, ...]] = tuple(f"{graph}.onnx" for graph in GRAPHS)
+REQUIRED_FILES: Final[frozenset[str]] = frozenset((*GRAPH_FILES, "tokenizer.json", "tables.npz"))
+OPTIONAL_GRAPH_FILES: Final[frozenset[str]] = frozenset(f"{graph}.onnx" for graph in OPTIONAL_GRAPHS)
+OPTIONAL_FILES: Final[frozenset[str]] = OPTIONAL_GRAPH_FILES | {"parser.bin", "arguments.npz"}
+"""Without the parser a bundle takes graphs, but no plain sentences; without arguments.npz its parser goes by rules;
+without the coarse decoders it shows no clip before the last level is done; without the graphs of adaptive gradient
+descent it refuses to compose with it."""
+AGD_FILES: Final[frozenset[str]] = frozenset(f"{graph}.onnx" for graph in (*AGD_CONTEXTS.values(), *AGD_STEPS.values()))
+
+MAX_DIMS: Final[Mapping[str, int]] = {
+    "tokens": 256,
+    "latent_width": 4096,
+    "width": 8192,
+    "heads": 256,
+    "layers": 256,
+}
+"""Far above any model; contracts are sized by these before a file is trusted."""
+
+LAYOUT_WIDTHS: Final[Mapping[str, int]] = {"joints-137": 137, "humanml3d-263": 263}
+
+
+def check_manifest(manifest: Manifest) -> None:
+    """Check everything that involves more than one field, or a range.
+
+    Raises:
+        BundleFormatError: naming the path of the key, what is allowed and what was found.
+    """
+    check_version(manifest.format_version)
+    _check_body(manifest)
+    _check_features(manifest.features)
+    _check_levels(manifest.levels)
+    _check_schedule(manifest.schedule, manifest.defaults, manifest.frames, manifest.fps)
+    _check_files(manifest.files, manifest.operators)
+
+
+def _require(holds: bool, key: str, message: str) -> None:
+    if not holds:
+        raise BundleFormatError(f"manifest.json: {key} {message}")
+
+
+def check_version(version: int) -> None:
+    """Raise BundleFormatError unless this kinegraph reads that format."""
+    _require(
+        OLDEST_VERSION <= version <= FORMAT_VERSION,
+        "format_version",
+        f"is {version}, this kinegraph reads {OLDEST_VERSION} to {FORMAT_VERSION}; "
+        "install the release the bundle was built for",
+    )
+
+
+def _check_body(manifest: Manifest) -> None:
+    skeleton, frames = manifest.skeleton, manifest.frames
+    _require(
+        skeleton.joint_names == JOINT_NAMES,
+        "skeleton.joint_names",
+        "must be the 22 joints of kinegraph.motion.skeleton",
+    )
+    _require(skeleton.parents == PARENTS, "skeleton.parents", "must be those of kinegraph.motion.skeleton")
+    _require(manifest.roles == ROLES, "roles", f"must be {list(ROLES)} in this order, found {list(manifest.roles)}")
+    _require(
+        1 <= manifest.text.width <= MAX_DIMS["width"],
+        "text.width",
+        f"must be 1 to {MAX_DIMS['width']}, found {manifest.text.width}",
+    )
+    _require(0 < manifest.fps <= 1000, "fps", f"must be above 0 and at most 1000, found {manifest.fps}")
+    _require(
+        2 <= frames.min <= frames.max <= MAX_FRAMES,
+        "frames",
+        f"must satisfy 2 <= min <= max <= {MAX_FRAMES}, found min {frames.min}, max {frames.max}",
+    )
+    _require(
+        1 <= frames.per_token <= frames.max,
+        "frames.per_token",
+        f"must be 1 to {frames.max}, found {frames.per_token}",
+    )
+
+
+def _check_features(features: FeatureSpec) -> None:
+    width = LAYOUT_WIDTHS[features.layout]
+    for key in ("mean", "std"):
+        found = len(getattr(features, key))
+        _require(
+            found == width,
+            f"features.{key}",
+            f"must have {width} numbers for {features.layout}, found {found}",
+        )
+    _require(min(features.std) > 0, "features.std", f"must be positive, found {min(features.std)}")
+
+
+def _check_levels(levels: Mapping[str, LevelSpec]) -> None:
+    _check_keys(levels, "levels")
+    coarse: LevelSpec | None = None
+    for name in LEVELS:
+        level = levels[name]
+        key = f"levels.{name}"
+        for field, most in MAX_DIMS.items():
+            found = getattr(level, field)
+            _require(1 <= found <= most, f"{key}.{field}", f"must be 1 to {most}, found {found}")
+        _require(
+            level.width % level.heads == 0,
+            f"{key}.heads",
+            f"must divide the width {level.width}, found {level.heads}",
+        )
+        kinds = tuple(kind for kind in NODE_KINDS if kind in level.nodes)
+        _require(
+            bool(kinds) and level.nodes == kinds,
+            f"{key}.nodes",
+            f"must be some of {list(NODE_KINDS)} in this order, found {list(level.nodes)}",
+        )
+        if coarse is not None:
+            # The coarser latent is handed on as context tokens of the same width.
+            _require(
+                level.latent_width == coarse.latent_width,
+                f"{key}.latent_width",
+                f"must be that of the coarser level, {coarse.latent_width}, found {level.latent_width}",
+            )
+            _require(
+                level.tokens >= coarse.tokens,
+                f"{key}.tokens",
+                f"must not be fewer than the coarser level's {coarse.tokens}, found {level.tokens}",
+            )
+        coarse = level
+
+
+def _check_keys(mapping: Mapping[str, object], key: str) -> None:
+    _require(set(mapping) == set(LEVELS), key, f"must have exactly the keys {list(LEVELS)}, found {list(mapping)}")
+
+
+def _check_schedule(schedule: ScheduleSpec, defaults: Defaults, frames: FrameSpec, fps: float) -> None:
+    _require(
+        1 <= schedule.train_steps <= 100_000,
+        "schedule.train_steps",
+        f"must be 1 to 100000, found {schedule.train_steps}",
+    )
+    _require(
+        0 < schedule.beta_start <= schedule.beta_end < 1,
+        "schedule",
+        f"must satisfy 0 < beta_start <= beta_end < 1, found {schedule.beta_start}, {schedule.beta_end}",
+    )
+    _require(
+        0 <= schedule.steps_offset < schedule.train_steps,
+        "schedule.steps_offset",
+        f"must be 0 to {schedule.train_steps - 1}, found {schedule.steps_offset}",
+    )
+    _check_keys(defaults.steps, "defaults.steps")
+    _check_keys(defaults.guidance, "defaults.guidance")
+    for name in LEVELS:
+        steps, scale = defaults.steps[name], defaults.guidance[name]
+        try:
+            schedule.noise.timesteps(steps)
+        except InvalidInputError as error:
+            raise BundleFormatError(f"manifest.json: defaults.steps.{name}: {error}") from error
+        _require(0 <= scale <= 20, f"defaults.guidance.{name}", f"must be 0 to 20, found {scale}")
+    _require(
+        frames.min <= round(defaults.seconds * fps) <= frames.max,
+        "defaults.seconds",
+        f"must be {frames.min / fps:g} to {frames.max / fps:g}, found {defaults.seconds}",
+    )
+
+
+def _check_files(files: Mapping[str, FileSpec], operators: Mapping[str, tuple[str, ...]]) -> None:
+    for name, entry in files.items():
+        # Only known names are ever opened, so separators, drives, "..", NUL and devices can name nothing.
+        _require(
+            name in REQUIRED_FILES | OPTIONAL_FILES,
+            "files",
+            f"names {name!r}, no file of a bundle; allowed are {sorted(REQUIRED_FILES | OPTIONAL_FILES)}",
+        )
+        _require(
+            re.fullmatch("[0-9a-f]{64}", entry.sha256) is not None,
+            f"files.{name}.sha256",
+            f"must be 64 hex digits, found {entry.sha256!r}",
+        )
+        _require(entry.bytes >= 0, f"files.{name}.bytes", f"must not be negative, found {entry.bytes}")
+    missing = sorted(REQUIRED_FILES - set(files))
+    _require(not missing, "files", f"lacks {missing}")
+    adaptive = AGD_FILES & set(files)
+    _require(
+        not adaptive or adaptive == AGD_FILES, "files", f"has {sorted(adaptive)}, of {sorted(AGD_FILES)} all or none"
+    )
+    graphs = sorted(name for name in files if name.endswith(".onnx"))
+    _require(
+        sorted(operators) == graphs, "operators", f"must have exactly the keys {graphs}, found {sorted(operators)}"
+    )
+    for name, listed in operators.items():
+        _require(list(listed) == sorted(set(listed)), f"operators.{name}", "must be sorted and without repeats")

@@ -1,0 +1,165 @@
+"""Reading a bundle: a folder of `manifest.json` and the files it lists, each read once and hashed."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import stat
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from types import MappingProxyType
+from typing import Final
+
+from kinegraph.arrays import FloatArray
+from kinegraph.bundle.manifest import GRAPH_FILES, OPTIONAL_GRAPH_FILES, FileSpec, Manifest, decode_manifest
+from kinegraph.bundle.onnx_inspect import check_self_contained
+from kinegraph.bundle.tables import read_tables
+from kinegraph.errors import BundleError, BundleFormatError, BundleIntegrityError
+
+MANIFEST: Final = "manifest.json"
+
+DEFAULT_BUNDLE: Final = Path(__file__).parents[1] / "bundles" / "default"
+"""The bundle that comes with the package."""
+
+MAX_MANIFEST_BYTES: Final = 1 << 20
+MAX_FILE_BYTES: Final = 1 << 30
+"""Below the 2 GiB of protobuf; the largest text encoder we know of takes half of it."""
+MAX_BUNDLE_BYTES: Final = 1 << 31
+
+_OPEN_FLAGS: Final = (
+    os.O_RDONLY
+    # Windows has neither links one follows by accident nor FIFOs in folders, and no such flags.
+    | getattr(os, "O_NOFOLLOW", 0)
+    | getattr(os, "O_NONBLOCK", 0)  # opening a FIFO must not wait for its writer
+    | getattr(os, "O_CLOEXEC", 0)
+    | getattr(os, "O_BINARY", 0)
+)
+
+
+@dataclass(frozen=True)
+class Bundle:
+    """A bundle in memory, every byte checked. Let go of it once the sessions are made: it holds the files."""
+
+    path: Path
+    manifest: Manifest
+    files: Mapping[str, bytes]
+    """Content of each listed file by name, all but the graphs of `contract.OPTIONAL_GRAPHS`."""
+    tables: Mapping[str, FloatArray]
+    """What the run measured on its clips, as far as the bundle has it (`tables.table_shapes`), read-only: `duration`
+    (1, D + 3), what a clip's length is read off, and `bone_lengths` (1, 21) in metres."""
+
+    def optional(self, name: str) -> bytes:
+        """Content of an optional graph's file, read and checked now: who never uses it does not pay for it.
+
+        Raises:
+            BundleFormatError, BundleIntegrityError: as in `read_bundle`.
+        """
+        data = _read_listed(self.path, name, self.manifest.files[name])
+        check_self_contained(data, name)
+        return data
+
+
+def read_bundle(path: Path | None = None) -> Bundle:
+    """Read a bundle and check that it is complete and unaltered; no session is made.
+
+    Optional graphs only have to be there: they are read where they are used (`Bundle.optional`).
+
+    Args:
+        path: folder of the bundle; None is the one that comes with the package.
+
+    Raises:
+        BundleError: there is no such folder, or it cannot be read.
+        BundleFormatError: the manifest, the tables or a graph break the format.
+        BundleIntegrityError: a file is missing, extra, not a regular file, or differs from the manifest.
+    """
+    folder = _folder(path)
+    manifest = decode_manifest(_read(folder, MANIFEST, MAX_MANIFEST_BYTES))
+    _check_listing(folder, manifest)
+    _check_sizes(manifest.files)
+    files = {
+        name: _read_listed(folder, name, entry)
+        for name, entry in manifest.files.items()
+        if name not in OPTIONAL_GRAPH_FILES
+    }
+    for name in GRAPH_FILES:
+        check_self_contained(files[name], name)
+    tables = read_tables(files["tables.npz"], manifest)
+    return Bundle(folder, manifest, MappingProxyType(files), tables)
+
+
+def _folder(path: Path | None) -> Path:
+    if path is None and not DEFAULT_BUNDLE.is_dir():
+        raise BundleError(
+            "this installation carries no default bundle; install kinegraph again, or name a bundle's folder"
+        )
+    try:
+        # Links on the way to the folder are the caller's own business; inside of it there are none.
+        folder = Path(DEFAULT_BUNDLE if path is None else path).resolve(strict=True)
+    except (OSError, ValueError, RuntimeError) as error:  # ValueError: NUL; RuntimeError: a loop of links
+        raise BundleError(f"no bundle at {str(path)!r}: {error}") from error
+    if not folder.is_dir():
+        raise BundleError(f"{str(path)!r} is not a folder; a bundle is a folder with a {MANIFEST}")
+    return folder
+
+
+def _check_listing(folder: Path, manifest: Manifest) -> None:
+    try:
+        with os.scandir(folder) as entries:
+            # Names are compared exactly, so "Decoder.onnx" is an extra file on case-blind disks too.
+            found = {entry.name for entry in entries}
+    except OSError as error:
+        raise BundleError(f"cannot list the bundle {str(folder)!r}: {error}") from error
+    listed = {MANIFEST, *manifest.files}
+    for name in sorted(listed - found):
+        raise BundleIntegrityError(f"{name} is missing from the bundle {str(folder)!r}; fetch the bundle again")
+    for name in sorted(found - listed):
+        raise BundleIntegrityError(f"{name!r} in the bundle {str(folder)!r} is not listed in its {MANIFEST}; remove it")
+
+
+def _check_sizes(files: Mapping[str, FileSpec]) -> None:
+    for name, entry in files.items():
+        if entry.bytes > MAX_FILE_BYTES:
+            raise BundleFormatError(f"{name} has {entry.bytes} bytes; a file may have {MAX_FILE_BYTES} at most")
+    total = sum(entry.bytes for entry in files.values())
+    if total > MAX_BUNDLE_BYTES:
+        raise BundleFormatError(f"the files have {total} bytes; a bundle may have {MAX_BUNDLE_BYTES} at most")
+
+
+def _read_listed(folder: Path, name: str, entry: FileSpec) -> bytes:
+    data = _read(folder, name, entry.bytes)
+    if len(data) != entry.bytes:
+        raise BundleIntegrityError(f"{name} has {len(data)} bytes instead of {entry.bytes}; fetch the bundle again")
+    if hashlib.sha256(data).hexdigest() != entry.sha256:
+        raise BundleIntegrityError(f"{name} differs from the manifest's SHA-256; fetch the bundle again")
+    return data
+
+
+def _read(folder: Path, name: str, most: int) -> bytes:
+    """Content of a regular file of at most `most` bytes, opened without following a link.
+
+    Hard links are accepted on purpose: uv, Nix, OSTree and deduplicating stores install every file as one.
+    They redirect nothing, and their content must still have the listed SHA-256: nothing foreign gets in.
+    """
+    path = folder / name
+    try:
+        # O_NOFOLLOW says so race-free where it exists; this says it in words, and on Windows.
+        if path.is_symlink():
+            raise BundleIntegrityError(f"{name} is a link; the files of a bundle must be regular files")
+        descriptor = os.open(path, _OPEN_FLAGS)
+    except FileNotFoundError as error:
+        raise BundleIntegrityError(f"{name} is missing from the bundle {str(folder)!r}") from error
+    except OSError as error:
+        raise BundleIntegrityError(f"{name} cannot be opened: {error.strerror}") from error
+    try:
+        status = os.fstat(descriptor)
+        if not stat.S_ISREG(status.st_mode):
+            raise BundleIntegrityError(f"{name} is not a regular file")
+        if status.st_size > most:
+            raise BundleIntegrityError(f"{name} is too large: {status.st_size} bytes instead of at most {most}")
+        with open(descriptor, "rb", closefd=False) as file:
+            return file.read(status.st_size + 1)
+    except OSError as error:
+        raise BundleIntegrityError(f"{name} cannot be read: {error.strerror}") from error
+    finally:
+        os.close(descriptor)

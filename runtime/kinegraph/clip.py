@@ -1,0 +1,141 @@
+"""What `generate` returns: joints over time, with all that is needed to make the same clip again."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from kinegraph.arrays import FloatArray
+from kinegraph.errors import InvalidInputError
+from kinegraph.files import suffix_of, write_atomically
+from kinegraph.graph import SemanticGraph
+from kinegraph.motion.blending import make_loop
+from kinegraph.motion.resampling import check_fps, in_place, resample
+from kinegraph.motion.skeleton import DEFAULT_NAMES, JOINTS
+
+
+@dataclass(frozen=True, eq=False)
+class Clip:
+    """A motion of the 22-joint body of `skeleton`.
+
+    Raises:
+        InvalidInputError: a field has the wrong shape or type, or a joint is not finite.
+    """
+
+    joints: FloatArray
+    """(frames, 22, 3) metres, Y up, floor y = 0; starts at the origin facing +Z; a read-only copy."""
+
+    fps: float
+    """Frames per second, 1 to 240."""
+
+    seed: int
+    """Of the noise it was made from."""
+
+    text: str
+    """The sentence it was made for."""
+
+    bundle: str
+    """Name and version of the bundle that made it."""
+
+    graph: SemanticGraph | None = None
+    """The graph it was made from, edits included; None where there was none, or more than one."""
+
+    loops: bool = False
+    """Whether its last frame is its first again, but for travel (`make_loop`); files do not say so."""
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "joints", _checked_joints(self.joints))
+        check_fps(self.fps)
+        whole = isinstance(self.seed, int | np.integer) and not isinstance(self.seed, bool)
+        if not whole or not 0 <= self.seed < 2**63:
+            raise InvalidInputError(f"seed is {self.seed!r}; it must be a whole number from 0 to 2**63 - 1")
+        for name in ("text", "bundle"):
+            if not isinstance(getattr(self, name), str):
+                raise InvalidInputError(f"{name} is {getattr(self, name)!r}; it must be a string")
+            if any("\ud800" <= character <= "\udfff" for character in getattr(self, name)):
+                raise InvalidInputError(f"{name} holds half a surrogate pair, which is no text")
+        if not isinstance(self.graph, SemanticGraph | None):
+            raise InvalidInputError(f"graph is of type {type(self.graph).__name__}; it must be a SemanticGraph or None")
+        object.__setattr__(self, "fps", float(self.fps))
+        object.__setattr__(self, "seed", int(self.seed))
+
+    @property
+    def frames(self) -> int:
+        """Number of frames."""
+        return len(self.joints)
+
+    @property
+    def duration(self) -> float:
+        """Seconds; every frame is shown for 1 / fps."""
+        return self.frames / self.fps
+
+    def resampled(self, fps: float) -> Clip:
+        """The same motion at another frame rate, 1 to 240; see `retiming.resample`.
+
+        Raises:
+            InvalidInputError: the frame rate is none.
+        """
+        check_fps(fps)
+        joints = resample(self.joints, self.fps, float(fps), loops=self.loops)
+        return replace(self, joints=joints, fps=float(fps))
+
+    def in_place(self) -> Clip:
+        """Without travel over the floor, for games that move the character themselves; a loop, which has to be made
+        first, ends facing where it began."""
+        return replace(self, joints=in_place(self.joints, loops=self.loops))
+
+    def looped(self, *, foot_fix: bool = True) -> Clip:
+        """Shorter, and such that it can be played round and round; see `looping.make_loop`.
+
+        Its last frame is its first again, one round later, as animation programs, engines and players of glTF expect:
+        a round takes (frames - 1) / fps seconds. `.gif` and `.mp4`, which show every frame, leave it out.
+
+        Raises:
+            InvalidInputError: fewer than 8 frames.
+        """
+        return replace(self, joints=make_loop(self.joints, self.fps, foot_fix=foot_fix), loops=True)
+
+    @property
+    def shown(self) -> FloatArray:
+        """Frames as a moving picture shows them, each for 1 / fps: without the one that closes a loop."""
+        return self.joints[:-1] if self.loops and self.frames > 1 else self.joints
+
+    def save(self, path: str | os.PathLike[str], *, force: bool = False, names: str = DEFAULT_NAMES) -> None:
+        """Write a file; its suffix chooses the format (`formats.WRITERS`).
+
+        The file appears complete or not at all.
+
+        Args:
+            path: file to write, in a folder that exists.
+            force: replace an existing file.
+            names: what `.bvh` and `.glb` call the joints: "smpl" or "mixamo".
+
+        Raises:
+            InvalidInputError: there is no such convention of names, or the format has none.
+            OutputError: the file cannot be written there; see `files.check_target`.
+        """
+        from kinegraph.formats import WRITERS, check_clip_target, encode  # formats know clips, not the other way round
+
+        check_clip_target(path, force)
+        write_atomically(path, encode(self, suffix_of(path, WRITERS), names), force=force)
+
+
+def _checked_joints(joints: object) -> FloatArray:
+    try:
+        given = np.asarray(joints)
+    except ValueError as error:
+        raise InvalidInputError(f"joints are no array of numbers ({error})") from error
+    if given.dtype.kind not in "fiu":
+        raise InvalidInputError(f"joints have type {given.dtype}; they must be real numbers")
+    if given.ndim != 3 or given.shape[1:] != (JOINTS, 3) or len(given) == 0:
+        allowed = f"(frames, {JOINTS}, 3) with at least one frame"
+        raise InvalidInputError(f"joints have shape {given.shape}; it must be {allowed}")
+    with np.errstate(over="ignore"):
+        own = np.array(given, dtype=np.float32)
+    if not np.isfinite(own).all():
+        frame, joint, _ = np.argwhere(~np.isfinite(own))[0]
+        raise InvalidInputError(f"joint {joint} of frame {frame} is not finite; joints must be finite metres")
+    own.flags.writeable = False
+    return own

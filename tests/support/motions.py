@@ -1,0 +1,135 @@
+"""Motion for tests: a stick figure that walks, made with matrices only; recorded clips where they are at
+hand; how solved joints turn."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from kinegraph.motion.kinematics import CHILDREN, rotations_from_positions
+from kinegraph.motion.quaternions import between, multiply, normalised
+from kinegraph.motion.skeleton import PARENTS
+
+SHARED = Path(__file__).resolve().parents[3] / "shared"
+
+# Parent, and offset from it in metres, in the order of the 22 joints; standing with the arms out, facing +Z.
+BONES = (
+    (-1, (0.0, 0.0, 0.0)),
+    (0, (0.10, -0.08, 0.0)),
+    (0, (-0.10, -0.08, 0.0)),
+    (0, (0.0, 0.10, -0.01)),
+    (1, (0.0, -0.40, 0.0)),
+    (2, (0.0, -0.40, 0.0)),
+    (3, (0.0, 0.13, 0.0)),
+    (4, (0.0, -0.41, 0.0)),
+    (5, (0.0, -0.41, 0.0)),
+    (6, (0.0, 0.06, 0.02)),
+    (7, (0.0, -0.06, 0.12)),
+    (8, (0.0, -0.06, 0.12)),
+    (9, (0.0, 0.21, -0.03)),
+    (9, (0.07, 0.12, -0.02)),
+    (9, (-0.07, 0.12, -0.02)),
+    (12, (0.0, 0.10, 0.04)),
+    (13, (0.12, 0.04, 0.0)),
+    (14, (-0.12, 0.04, 0.0)),
+    (16, (0.26, 0.0, 0.0)),
+    (17, (-0.26, 0.0, 0.0)),
+    (18, (0.25, 0.0, 0.0)),
+    (19, (-0.25, 0.0, 0.0)),
+)
+
+
+def turn(axis: str, angle: float) -> np.ndarray:
+    """Rotation matrix about x, y or z, radians, right-handed."""
+    c, s = np.cos(angle), np.sin(angle)
+    rows = {
+        "x": [[1, 0, 0], [0, c, -s], [0, s, c]],
+        "y": [[c, 0, s], [0, 1, 0], [-s, 0, c]],
+        "z": [[c, -s, 0], [s, c, 0], [0, 0, 1]],
+    }
+    return np.array(rows[axis], dtype=np.float64)
+
+
+def posed(root: np.ndarray, turns: dict[int, np.ndarray]) -> np.ndarray:
+    """(22, 3): the figure with some joints turned relative to their parents."""
+    places, axes = [np.asarray(root, dtype=np.float64)], [turns.get(0, np.eye(3))]
+    for joint, (parent, offset) in enumerate(BONES[1:], start=1):
+        places.append(places[parent] + axes[parent] @ np.array(offset))
+        axes.append(axes[parent] @ turns.get(joint, np.eye(3)))
+    return np.stack(places)
+
+
+def t_pose(frames: int = 4) -> np.ndarray:
+    """(frames, 22, 3): standing still with the arms out, toes on the floor."""
+    pose = posed(np.zeros(3), {})
+    pose[:, 1] -= pose[:, 1].min()
+    return np.repeat(pose[None], frames, axis=0).astype(np.float32)
+
+
+def walk(frames: int = 60, *, turning: float = 0.0, heading: float = 0.0, speed: float = 0.05) -> np.ndarray:
+    """(frames, 22, 3): walks along its heading, `speed` m and `turning` radians (to the left) per frame."""
+    place, rows = np.array([0.0, 0.95, 0.0]), []
+    for frame in range(frames):
+        phase, angle = 0.35 * frame, heading + turning * frame
+        swing = 0.5 * np.sin(phase)
+        turns = {
+            0: turn("y", angle) @ turn("z", 0.04 * np.sin(phase)),
+            1: turn("x", -swing),
+            2: turn("x", swing),
+            3: turn("x", 0.1) @ turn("y", 0.15 * np.sin(phase)),
+            4: turn("x", 0.4 + 0.3 * np.sin(phase)),
+            5: turn("x", 0.4 - 0.3 * np.sin(phase)),
+            6: turn("x", -0.05),
+            7: turn("x", -0.2),
+            8: turn("x", -0.2 + 0.1 * np.cos(phase)),
+            12: turn("x", 0.1 * np.cos(phase)),
+            13: turn("z", 0.05 * np.sin(phase)),
+            16: turn("x", swing) @ turn("z", -1.2),
+            17: turn("x", -swing) @ turn("z", 1.2),
+            18: turn("y", -0.3 - 0.2 * np.sin(phase)),
+            19: turn("y", 0.3 - 0.2 * np.sin(phase)),
+        }
+        rows.append(posed(place, turns))
+        place = place + speed * np.array([np.sin(angle), 0.0, np.cos(angle)])
+    joints = np.stack(rows)
+    joints[..., 1] -= joints[..., 1].min()
+    return joints.astype(np.float32)
+
+
+def world_turns(joints: np.ndarray, fps: float = 20.0) -> np.ndarray:
+    """(frames, 22, 4) solved turns of every joint in the world."""
+    turns = np.array(rotations_from_positions(joints, fps).rotations)
+    for joint in range(1, len(PARENTS)):
+        turns[:, joint] = multiply(turns[:, PARENTS[joint]], turns[:, joint])
+    return turns
+
+
+def largest_twist(joints: np.ndarray, fps: float = 20.0) -> float:
+    """Degrees by which a limb turns about its own length from one frame to the next, at most: what is left of a joint's
+    turn when the shortest turn that moves its bone is taken away."""
+    turns, largest = world_turns(joints, fps), 0.0
+    for joint, children in enumerate(CHILDREN):
+        if len(children) == 1:
+            bone = normalised((joints[:, children[0]] - joints[:, joint]).astype(np.float64))
+            swung = multiply(between(bone[:-1], bone[1:]), turns[:-1, joint])
+            cosine = np.abs((turns[1:, joint] * swung).sum(-1))
+            largest = max(largest, float(np.degrees(2 * np.arccos(cosine.clip(0, 1))).max()))
+    return largest
+
+
+def recorded(source: str = "bandai", count: int | None = None, split: str = "val") -> list[np.ndarray]:
+    """Recorded clips (frames, 22, 3) as the data has them, about `count` spread over the split; the test is skipped
+    where they are not at hand."""
+    path = SHARED / "data" / source / f"{split}.npz"
+    if not path.is_file():
+        pytest.skip("recorded motion (../shared/data) is not at hand")
+    with np.load(path, allow_pickle=False) as pack:
+        offsets, joints, root, scale = pack["offsets"], pack["joints"], pack["root_xz"], pack["scale"]
+    metres = joints.astype(np.float32) * scale
+    metres[..., [0, 2]] += root[:, None]
+    pairs = list(pairwise(offsets))
+    step = max(1, len(pairs) // count) if count else 1
+    return [metres[start:end] for start, end in pairs[::step]]

@@ -1,0 +1,46 @@
+"""A run at the size of a toy: sixteen clips of a stick figure, three autoencoders, denoisers."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import torch
+
+import kinegraph
+from kinegraph_training import train_denoisers, train_vae
+from kinegraph_training.data.folder import PreparedClip, write_data
+from support.motions import walk
+
+ASSETS = Path(kinegraph.__file__).parent / "bundles" / "default"
+
+
+def write_walks(folder: Path) -> None:
+    """Sixteen clips of a stick figure; their captions name the side they turn to."""
+    clips = []
+    for number in range(16):
+        side = "left" if number % 2 else "right"
+        turning = 0.02 if number % 2 else -0.02
+        joints = walk(40 + 4 * number, turning=turning, speed=0.03 + 0.002 * number)
+        split = "val" if number in (4, 5) else "train"
+        clips.append(PreparedClip(f"walk{number}", joints, (f"a person walks to the {side}",), "made", split))
+    write_data(folder, clips, 20)
+
+
+def stage(module: object, folder: Path, *more: str) -> None:
+    words = ["--data", str(folder / "data"), "--run", str(folder / "run"), "--preset", "tiny", "--threads", "1"]
+    flags = ["--enable_progress_bar", "0", "--accelerator", "cpu"]
+    module.main([*words, *more, *flags])  # type: ignore[attr-defined]
+
+
+def steps_of(checkpoint: Path) -> int:
+    return int(torch.load(checkpoint, weights_only=True, map_location="cpu")["global_step"])
+
+
+def train(folder: Path) -> None:
+    """Data and all stages; the denoisers are stopped half-way, as a kill would, and go on by the same command."""
+    write_walks(folder / "data")
+    for level in ("motion", "action", "specific"):
+        stage(train_vae, folder, "--level", level)
+    stage(train_denoisers, folder, "--assets", str(ASSETS), "--max_steps", "3", "--val_check_interval", "3")
+    assert steps_of(folder / "run" / "denoisers" / "last.ckpt") == 3
+    stage(train_denoisers, folder, "--assets", str(ASSETS))

@@ -1,0 +1,223 @@
+"""BVH files: the skeleton, its local motion, resampling, and where the joints are.
+
+Read strictly: a file that is cut short or says one thing and holds another is refused, as training on it
+would not show.
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+from kinegraph.arrays import Floats
+
+from kinegraph.errors import InvalidInputError
+from kinegraph.motion.quaternions import IDENTITY, about_axis, multiply, rotate, slerp
+
+AXES: Final = {"X": 0, "Y": 1, "Z": 2}
+END: Final = ".end"
+"""`Head.end` is the End Site of `Head`."""
+
+
+@dataclass(frozen=True)
+class Bone:
+    """One joint of the hierarchy."""
+
+    name: str
+    parent: int
+    """-1 for a root."""
+    offset: tuple[float, float, float]
+    """From the parent at rest, in the units of the file."""
+    channels: tuple[str, ...] = ()
+    """For example ("Xposition", "Zrotation"); none for an End Site."""
+
+
+@dataclass(frozen=True)
+class BvhMotion:
+    """What a file holds, in its own units and axes."""
+
+    bones: tuple[Bone, ...]
+    """Parents before children."""
+    positions: Floats
+    """(frames, bones, 3) from the parent: OFFSET, or the position channels where a joint has them."""
+    rotations: Floats
+    """(frames, bones, 4) quaternions relative to the parent."""
+    frame_time: float
+    """Seconds."""
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of all joints, End Sites included."""
+        return tuple(bone.name for bone in self.bones)
+
+
+@dataclass
+class _Open:
+    """A joint whose closing brace has not come."""
+
+    name: str
+    parent: int
+    offset: tuple[float, float, float] | None = None
+    channels: tuple[str, ...] = ()
+    index: int = field(default=-1)
+
+
+def read_bvh(path: Path) -> BvhMotion:
+    """The motion of a file.
+
+    Raises:
+        InvalidInputError: it is missing or no BVH file; the message names file and fault.
+    """
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        raise InvalidInputError(f"{path} cannot be read ({error.strerror}); check the name") from error
+    # Names may be in any encoding; the rest is ASCII.
+    text = data.decode("utf-8-sig", errors="replace")
+    try:
+        return parse_bvh(text)
+    except InvalidInputError as error:
+        raise InvalidInputError(f"{path}: {error}") from error
+
+
+def parse_bvh(text: str) -> BvhMotion:
+    """As `read_bvh`, from the text of a file."""
+    # A line of its own: joints may be called "motion" too.
+    head, *rest = re.split(r"^[ \t]*MOTION[ \t]*\r?$", text, maxsplit=1, flags=re.MULTILINE)
+    if not head.lstrip().upper().startswith("HIERARCHY") or not rest:
+        raise InvalidInputError("no BVH file: it must start with HIERARCHY and have a MOTION part")
+    bones = _hierarchy(head.lstrip())
+    frames, frame_time, values = _motion(rest[0])
+    width = sum(len(bone.channels) for bone in bones)
+    if len(values) != frames * width:
+        raise InvalidInputError(
+            f"{frames} frames of {width} channels are {frames * width} numbers, but the MOTION part holds "
+            f"{len(values)}; the file is cut short or mixed up"
+        )
+    if not np.isfinite(values).all():
+        raise InvalidInputError("the MOTION part holds numbers that are not finite; export it again")
+    positions, rotations = _local_motion(bones, values.reshape(frames, width))
+    return BvhMotion(tuple(bones), positions, rotations, frame_time)
+
+
+def resampled(motion: BvhMotion, fps: float) -> BvhMotion:
+    """The motion at another frame rate: rotations by slerp (Shoemake, 1985), positions linearly.
+
+    It lasts as long as before, or less than one frame shorter.
+    """
+    last = float(len(motion.positions) - 1)
+    count = int(last * motion.frame_time * fps + 1e-4) + 1
+    place: Floats = np.minimum(np.arange(count) / (fps * motion.frame_time), last)
+    # Frame times are rounded in the file (0.0333333): a place that close to a frame is that frame.
+    place = np.where(np.abs(place - np.round(place)) < 1e-3, np.round(place), place)
+    before = np.floor(place).astype(np.int64)
+    after = np.minimum(before + 1, len(motion.positions) - 1)
+    share = place - before
+    positions = motion.positions[before]
+    positions = positions + share[:, None, None] * (motion.positions[after] - positions)
+    shares = np.broadcast_to(share[:, None], (count, len(motion.bones)))
+    rotations = slerp(motion.rotations[before], motion.rotations[after], shares)
+    return replace(motion, positions=positions, rotations=rotations, frame_time=1.0 / fps)
+
+
+def joint_positions(motion: BvhMotion) -> Floats:
+    """Where every joint is: (frames, bones, 3) in the units and axes of the file."""
+    places = np.array(motion.positions)
+    turns = np.array(motion.rotations)
+    for index, bone in enumerate(motion.bones):
+        if bone.parent >= 0:
+            above = turns[:, bone.parent]
+            places[:, index] = places[:, bone.parent] + rotate(above, motion.positions[:, index])
+            turns[:, index] = multiply(above, motion.rotations[:, index])
+    return places
+
+
+def _hierarchy(head: str) -> list[Bone]:
+    lines = head.replace("{", "\n{\n").replace("}", "\n}\n").splitlines()[1:]
+    done: dict[int, Bone] = {}
+    stack: list[_Open] = []
+    count = 0
+    for line in lines:
+        words = line.split()
+        if not words or words == ["{"]:
+            continue
+        key = words[0].upper()
+        if key in ("ROOT", "JOINT", "END"):
+            parent = stack[-1] if stack else None
+            name = parent.name + END if key == "END" and parent else " ".join(words[1:])
+            stack.append(_Open(name, parent.index if parent else -1, index=count))
+            count += 1
+        elif not stack:
+            raise InvalidInputError(f"{line.strip()!r} stands outside of every joint in the HIERARCHY part")
+        elif key == "OFFSET":
+            stack[-1].offset = _offset(stack[-1].name, words[1:])
+        elif key == "CHANNELS":
+            stack[-1].channels = _channels(stack[-1].name, words[1:])
+        elif key == "}":
+            joint = stack.pop()
+            if joint.offset is None:
+                raise InvalidInputError(f"joint {joint.name!r} has no OFFSET")
+            done[joint.index] = Bone(joint.name, joint.parent, joint.offset, joint.channels)
+        else:
+            raise InvalidInputError(f"{line.strip()!r} is no line of a HIERARCHY part")
+    if stack or not done:
+        raise InvalidInputError("the HIERARCHY part has no joint or ends inside of one; the file is cut short")
+    return [done[index] for index in range(count)]
+
+
+def _offset(name: str, words: list[str]) -> tuple[float, float, float]:
+    try:
+        x, y, z = (float(word) for word in words)
+    except ValueError as error:
+        raise InvalidInputError(f"OFFSET of {name!r} is {' '.join(words)!r}; it must be three numbers") from error
+    if not np.isfinite([x, y, z]).all():
+        raise InvalidInputError(f"OFFSET of {name!r} is not finite")
+    return x, y, z
+
+
+def _channels(name: str, words: list[str]) -> tuple[str, ...]:
+    channels = tuple(word[:1].upper() + word[1:].lower() for word in words[1:])
+    known = all(word[0] in AXES and word[1:] in ("position", "rotation") for word in channels)
+    if not words or words[0] != str(len(channels)) or not known or len(set(channels)) < len(channels):
+        raise InvalidInputError(
+            f"CHANNELS of {name!r} is {' '.join(words)!r}; it must be their number and different ones of "
+            "X, Y, Zposition and X, Y, Zrotation"
+        )
+    return channels
+
+
+def _motion(text: str) -> tuple[int, float, Floats]:
+    words = text.split()
+    try:
+        if words[0].rstrip(":") != "Frames" or [words[2], words[3].rstrip(":")] != ["Frame", "Time"]:
+            raise ValueError("other words")
+        frames, frame_time = int(words[1]), float(words[4])
+    except (IndexError, ValueError) as error:
+        raise InvalidInputError('the MOTION part must start with "Frames: N" and "Frame Time: SECONDS"') from error
+    if frames < 1 or not (np.isfinite(frame_time) and frame_time > 0):
+        raise InvalidInputError(f"{frames} frames of {frame_time} seconds; both must be above 0")
+    try:
+        return frames, frame_time, np.array(words[5:], dtype=np.float64)
+    except ValueError as error:
+        raise InvalidInputError(f"the MOTION part must hold numbers only ({error})") from error
+
+
+def _local_motion(bones: list[Bone], values: Floats) -> tuple[Floats, Floats]:
+    positions = np.tile(np.array([bone.offset for bone in bones]), (len(values), 1, 1))
+    rotations = np.tile(np.array(IDENTITY), (len(values), len(bones), 1))
+    column = 0
+    for index, bone in enumerate(bones):
+        for channel in bone.channels:
+            axis, numbers = AXES[channel[0]], values[:, column]
+            column += 1
+            if channel.endswith("position"):
+                # Position channels replace the OFFSET, as in the files of Bandai Namco and of motion capture
+                # roots.
+                positions[:, index, axis] = numbers
+            else:
+                # The channel named first is the outermost turn.
+                rotations[:, index] = multiply(rotations[:, index], about_axis(axis, np.radians(numbers)))
+    return positions, rotations
