@@ -35,7 +35,7 @@ from kinegraph.bundle.manifest import (
     SkeletonSpec,
     TextSpec,
     describe_file,
-    to_json,
+    encode_manifest,
 )
 from kinegraph.bundle.onnx_inspect import summarise
 from kinegraph.bundle.tables import bones_of
@@ -45,7 +45,7 @@ from kinegraph.graph import ROLES
 from kinegraph.motion.postprocess import enforce_bone_lengths
 from kinegraph.motion.skeleton import JOINT_NAMES, PARENTS
 from kinegraph.pipeline import MotionPipeline
-from kinegraph.text.argument_classifier import provenance_of
+from kinegraph.text.argument_classifier import read_provenance
 from kinegraph_export.checkpoints import read_run
 from kinegraph_export.graphs import KEPT_IN_FLOAT, STORED_INT8, Precision, Trained, export_graphs, level_specs
 from kinegraph_export.parity import ParityError
@@ -122,7 +122,7 @@ def manifest_of(
             "training_data": card.training_data,
             "text_encoder": f"sentence-transformers/all-MiniLM-L6-v2 from {MINILM}",
             "parser": f"en_core_web_sm from {SPACY_MODEL}",
-            "arguments": provenance_of(files["arguments.npz"]) if "arguments.npz" in files else "by rules alone",
+            "arguments": read_provenance(files["arguments.npz"]) if "arguments.npz" in files else "by rules alone",
             "numbers": describe_precision(operators, precision),
             "built_with": f"kinegraph {kinegraph.__version__}, torch {torch.__version__}, "
             f"onnxruntime {onnxruntime.__version__}, Python {platform.python_version()}",
@@ -168,7 +168,7 @@ def write_bundle(folder: Path, manifest: Manifest, files: dict[str, bytes]) -> N
     folder.mkdir(parents=True)
     for name, data in files.items():
         (folder / name).write_bytes(data)
-    (folder / "manifest.json").write_bytes(to_json(manifest))
+    (folder / "manifest.json").write_bytes(encode_manifest(manifest))
 
 
 def pipeline_difference(folder: Path, trained: Trained, own: TrainedVae, bones: FloatArray | None) -> float:
@@ -183,7 +183,7 @@ def pipeline_difference(folder: Path, trained: Trained, own: TrainedVae, bones: 
         request = Request(
             clip.frames, initial_noise(seed, plans), sampling.steps, sampling.guidance, sampling.guidance_base
         )
-        expected = torch_joints(trained, pipe._encoders.arrays(graph), request, own.mean, own.std)
+        expected = torch_joints(trained, pipe.encoder.encode_text([graph])[0], request, own.mean, own.std)
         expected = enforce_bone_lengths(expected, bones)
         distances.append(np.linalg.norm(clip.joints - expected, axis=-1).mean() * 1000.0)
     return float(np.mean(distances))
@@ -226,7 +226,7 @@ def export_bundle(run: Path, assets: Path, card: Card, out: Path, precision: Pre
             if not distance <= MAX_PIPELINE_MM[precision]:
                 raise ParityError(f"{name} is {distance:.3f}, more than {MAX_PIPELINE_MM[precision]}")
         manifest = dataclasses.replace(draft, parity={**parity, **far})
-        (staged / "manifest.json").write_bytes(to_json(manifest))
+        (staged / "manifest.json").write_bytes(encode_manifest(manifest))
         shutil.rmtree(out, ignore_errors=True)
         out.parent.mkdir(parents=True, exist_ok=True)
         shutil.copytree(staged, out)

@@ -14,7 +14,7 @@ from torch import nn
 
 from kinegraph.bundle.contract import (
     AGD_CONTEXTS,
-    AGD_STEPS,
+    AGD_DENOISERS,
     COARSE_DECODERS,
     LEVELS,
     NODE_KINDS,
@@ -113,7 +113,7 @@ def graph_modules(trained: Trained) -> dict[str, nn.Module]:
         modules[f"clock_{level}"] = ModulationGraph(denoiser.clock)
         modules[f"step_{level}"] = DenoiserGraph(denoiser.step)
         modules[AGD_CONTEXTS[level]] = (MotionAgdContextGraph if top else AgdContextGraph)(denoiser.context)
-        modules[AGD_STEPS[level]] = AgdDenoiserGraph(AgdNoisePredictor(denoiser))
+        modules[AGD_DENOISERS[level]] = AgdDenoiserGraph(AgdNoisePredictor(denoiser))
     modules["decoder"] = DecoderGraph(trained.vae, trained.centre, trained.scale)
     for level, own in trained.coarse.items():
         modules[COARSE_DECODERS[level]] = CoarseDecoderGraph(own.vae, own.centre, own.scale, own.gain, own.shift)
@@ -201,7 +201,7 @@ def export_graph(
 def _in_int8(model: onnx.ModelProto, name: str) -> onnx.ModelProto:
     if name in STORED_INT8:
         return int8_weights(model)
-    if name in AGD_STEPS.values():
+    if name in AGD_DENOISERS.values():
         # Adaptive gradient descent moves a context by thousandths, which int8 activations would round away: what reads
         # and moves the context is only stored as int8 (its weights reach the products transposed, so the quantiser
         # passes them by). `optimised` would fold them into two copies each.

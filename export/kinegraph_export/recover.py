@@ -116,7 +116,7 @@ def hierarchy_of(bundle: Bundle, config: DenoiserConfig, vaes: Path) -> tuple[Hi
     for level, graph in ((LEVELS[-1], "decoder"), *COARSE_DECODERS.items()):
         file = declared[graph].file
         if file in manifest.files:
-            data = bundle.files[file] if level == LEVELS[-1] else bundle.optional(file)
+            data = bundle.files[file] if level == LEVELS[-1] else bundle.read_optional(file)
             decoder = dequantised_weights(onnx.load_model_from_string(data))
             statistics |= {f"{level}_{name}": decoder[name] for name in ("centre", "scale")}
     unit = torch.ones(shapes[LEVELS[-1]].tokens, shapes[LEVELS[-1]].width)

@@ -11,7 +11,7 @@ torch = pytest.importorskip("torch")
 onnx = pytest.importorskip("onnx")
 pytest.importorskip("onnxscript")
 
-from kinegraph.bundle.contract import LevelSpec, clock, step
+from kinegraph.bundle.contract import LevelSpec, denoiser, modulation
 from kinegraph_export.graphs import drawn_inputs, export_graph
 from kinegraph_export.modules import DenoiserGraph, ModulationGraph
 from kinegraph_export.onnx_export import round_weights
@@ -21,7 +21,7 @@ from kinegraph_training.models.denoiser import AdaLNModulation, DenoiserConfig, 
 LAYERS, TOKENS = 3, 4
 CONFIG = DenoiserConfig(width=64, layers=LAYERS, heads=2, feed_forward=128)
 LEVEL = LevelSpec(TOKENS, 8, 64, 2, LAYERS, ("motion",))
-CONTRACT = step("motion", LEVEL)
+CONTRACT = denoiser("motion", LEVEL)
 Exported = tuple[bytes, dict[str, float]]
 """Of `export_graph`."""
 
@@ -101,7 +101,7 @@ def test_parity_sees_a_wrong_weight(in_float: Exported) -> None:
 
 
 def test_the_clock_is_one_graph_of_all_steps() -> None:
-    contract = clock("motion", LEVEL)
+    contract = modulation("motion", LEVEL)
     data, _ = export_graph(ModulationGraph(AdaLNModulation(CONFIG)).eval(), contract, 4, "int8")
     assert "Loop" not in {node.op_type for node in onnx.load_model_from_string(data).graph.node}
     feeds = drawn_inputs(contract, 4)(np.random.Generator(np.random.PCG64(0)))

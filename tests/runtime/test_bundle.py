@@ -1,4 +1,4 @@
-"""Whatever is done to a bundle's files ends in a typed error naming the file, before anything is parsed."""
+"""Any damage to the files of a bundle is a typed error that names the file, before anything is parsed."""
 
 from __future__ import annotations
 
@@ -39,18 +39,18 @@ sys.addaudithook(_watch)
 
 @contextmanager
 def opened_paths() -> Iterator[list[str]]:
-    """Every path opened inside the block."""
+    """Record every path that is opened inside the block."""
     global _opened
-    _opened = found = []
+    _opened = paths = []
     try:
-        yield found
+        yield paths
     finally:
         _opened = None
 
 
 def test_a_good_bundle_is_read_whole(bundle: Path) -> None:
     read = read_bundle(bundle)
-    everything = {**read.files, **{name: read.optional(name) for name in OPTIONAL_GRAPH_FILES}}
+    everything = {**read.files, **{name: read.read_optional(name) for name in OPTIONAL_GRAPH_FILES}}
     assert everything == bundle_files() and not OPTIONAL_GRAPH_FILES & set(read.files)
     assert read.manifest == manifest_for(bundle_files())
     with np.load(io.BytesIO(tables_npz())) as expected:
@@ -82,10 +82,10 @@ def test_an_optional_graph_is_hashed_when_it_is_read(bundle: Path, name: str) ->
     good = (bundle / name).read_bytes()
     (bundle / name).write_bytes(bytes([good[0] ^ 1]) + good[1:])
     with pytest.raises(BundleIntegrityError, match=f"{name} differs"):
-        read.optional(name)
+        read.read_optional(name)
     (bundle / name).unlink()
     with pytest.raises(BundleIntegrityError, match=f"{name} is missing"):
-        read.optional(name)
+        read.read_optional(name)
 
 
 @pytest.mark.usefixtures("no_sessions")

@@ -1,4 +1,4 @@
-"""What is inside the files of a bundle: tables, graphs, operators; `verify` tells all of it."""
+"""The content of a bundle's files: tables, graphs and operators, and what `verify` reports."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def test_broken_tables_are_refused(tmp_path: Path, data: bytes, message: str) ->
 
 
 class Bomb:
-    """Unpickling it would create a file."""
+    """An object whose unpickling would create a file."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -76,7 +76,7 @@ def test_a_repeated_member_of_the_tables_is_refused(tmp_path: Path) -> None:
 
 
 def external_decoder(location: str) -> bytes:
-    """The decoder's filler with an initializer whose content is said to lie in another file."""
+    """Build a decoder with an initializer that refers to another file."""
     entry = field(13, field(1, "location") + field(2, location))
     tensor = field(1, 4) + field(2, 1) + field(8, "weights") + entry + field(14, 1)
     contract = contracts(LEVEL_SPECS, 12, 137)["decoder"]

@@ -1,4 +1,4 @@
-"""The declared tensors equal the design's table; a session that differs in anything is refused by name."""
+"""The contract: tensors equal the table of the design, and a session that differs is refused with its name."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from kinegraph.bundle.contract import (
     GraphContract,
     LevelSpec,
     TensorSpec,
-    check,
+    check_signature,
     contracts,
 )
 from kinegraph.bundle.sessions import open_session, session_options
@@ -123,25 +123,27 @@ def test_a_session_that_keeps_the_contract_is_accepted(name: str) -> None:
 
 
 @dataclass
-class Found:
+class FakeNodeArg:
+    """Stands in for `onnxruntime.NodeArg`."""
+
     name: str
     shape: list[int | str | None]
     type: str
 
 
-def found(specs: tuple[TensorSpec, ...]) -> list[Found]:
+def node_args(specs: tuple[TensorSpec, ...]) -> list[FakeNodeArg]:
     types = {"float32": "tensor(float)", "int64": "tensor(int64)"}
-    return [Found(spec.name, list(spec.axes), types[spec.dtype]) for spec in specs]
+    return [FakeNodeArg(spec.name, list(spec.axes), types[spec.dtype]) for spec in specs]
 
 
 STEP = contracts(EDGE, 384, 137)["step_action"]
 
 
 def test_order_of_tensors_and_names_of_free_axes_do_not_matter() -> None:
-    inputs = found(STEP.inputs)[::-1]
+    inputs = node_args(STEP.inputs)[::-1]
     for tensor in inputs:
         tensor.shape = [size if isinstance(size, int) else None for size in tensor.shape]
-    check(inputs, found(STEP.outputs), STEP)
+    check_signature(inputs, node_args(STEP.outputs), STEP)
 
 
 CHANGES = [
@@ -154,10 +156,10 @@ CHANGES = [
 
 @pytest.mark.parametrize(("index", "change"), CHANGES)
 def test_any_difference_of_an_input_is_named(index: int, change: str) -> None:
-    inputs = found(STEP.inputs)
+    inputs = node_args(STEP.inputs)
     tensor, spec = inputs[index], STEP.inputs[index]
-    free = [place for place, axis in enumerate(spec.axes) if isinstance(axis, str)]
-    fixed = [place for place, axis in enumerate(spec.axes) if isinstance(axis, int)]
+    free = [index for index, axis in enumerate(spec.axes) if isinstance(axis, str)]
+    fixed = [index for index, axis in enumerate(spec.axes) if isinstance(axis, int)]
     if change == "missing":
         del inputs[index]
     elif change == "type":
@@ -169,7 +171,7 @@ def test_any_difference_of_an_input_is_named(index: int, change: str) -> None:
     else:
         tensor.shape[fixed[0]] = "dynamic" if change == "loose" else 1000
     with pytest.raises(BundleFormatError) as caught:
-        check(inputs, found(STEP.outputs), STEP)
+        check_signature(inputs, node_args(STEP.outputs), STEP)
     message = str(caught.value)
     assert "step_action.onnx" in message
     assert repr(spec.name) in message
@@ -179,16 +181,16 @@ def test_any_difference_of_an_input_is_named(index: int, change: str) -> None:
 
 
 def test_extra_tensors_are_named() -> None:
-    extra = [*found(STEP.inputs), Found("gamma", ["A", 2], "tensor(float)")]
+    extra = [*node_args(STEP.inputs), FakeNodeArg("gamma", ["A", 2], "tensor(float)")]
     with pytest.raises(BundleFormatError, match=r"step_action\.onnx has an unknown input 'gamma'"):
-        check(extra, found(STEP.outputs), STEP)
+        check_signature(extra, node_args(STEP.outputs), STEP)
 
 
 def test_outputs_are_checked_too() -> None:
-    outputs = found(STEP.outputs)
+    outputs = node_args(STEP.outputs)
     outputs[0].name = "eps"
     with pytest.raises(BundleFormatError, match=r"has no output 'noise'"):
-        check(found(STEP.inputs), outputs, STEP)
+        check_signature(node_args(STEP.inputs), outputs, STEP)
 
 
 def test_a_real_session_with_a_frozen_axis_is_refused() -> None:

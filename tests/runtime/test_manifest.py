@@ -1,4 +1,4 @@
-"""The manifest decoder: what it writes it reads, and everything else is an error naming the key."""
+"""The manifest: a round trip keeps it, and every invalid value is an error that names its key."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ from typing import Any
 
 import pytest
 
-from kinegraph.bundle.manifest import Manifest, decode_manifest, to_json
+from kinegraph.bundle.manifest import Manifest, decode_manifest, encode_manifest
 from kinegraph.errors import BundleFormatError
-from support.manifests import ALL_PATHS, GOOD, changed, dotted, leaf
+from support.manifests import ALL_PATHS, GOOD, changed, dotted, value_at
 from support.synthetic_bundle import bundle_files, manifest_for, sealed
 
 FREE_MAPS = {("provenance",), ("scope",), ("parity",), ("training",), ("quality",)}
@@ -23,12 +23,12 @@ REQUIRED = [
 
 def test_round_trip() -> None:
     manifest = manifest_for(bundle_files())
-    assert decode_manifest(to_json(manifest)) == manifest
-    assert to_json(decode_manifest(to_json(manifest))) == to_json(manifest)
+    assert decode_manifest(encode_manifest(manifest)) == manifest
+    assert encode_manifest(decode_manifest(encode_manifest(manifest))) == encode_manifest(manifest)
 
 
 def test_the_text_is_plain_json_with_its_sha256() -> None:
-    value = json.loads(to_json(manifest_for(bundle_files())))
+    value = json.loads(encode_manifest(manifest_for(bundle_files())))
     assert value.pop("sha256")
     assert list(value) == [field.name for field in dataclasses.fields(Manifest)]
     assert value["features"]["mean"][:3] == [0.0, 1.0, 2.0]
@@ -36,7 +36,7 @@ def test_the_text_is_plain_json_with_its_sha256() -> None:
 
 
 def test_nothing_in_a_manifest_can_be_changed() -> None:
-    manifest = decode_manifest(to_json(manifest_for(bundle_files())))
+    manifest = decode_manifest(encode_manifest(manifest_for(bundle_files())))
     with pytest.raises(dataclasses.FrozenInstanceError):
         manifest.name = "other"  # type: ignore[misc]
     with pytest.raises(TypeError):
@@ -46,10 +46,10 @@ def test_nothing_in_a_manifest_can_be_changed() -> None:
 @pytest.mark.parametrize("path", REQUIRED, ids=dotted)
 def test_a_missing_key_is_named(path: tuple[Any, ...]) -> None:
     value = copy.deepcopy(GOOD)
-    place: Any = value
+    parent: Any = value
     for key in path[:-1]:
-        place = place[key]
-    del place[path[-1]]
+        parent = parent[key]
+    del parent[path[-1]]
     with pytest.raises(BundleFormatError) as caught:
         decode_manifest(sealed(value))
     message = str(caught.value)
@@ -89,10 +89,12 @@ def test_the_parser_is_optional() -> None:
     assert "parser.bin" not in decode_manifest(sealed(value)).files
 
 
-@pytest.mark.parametrize("path", [p for p in ALL_PATHS if isinstance(leaf(p), dict) and p not in FREE_MAPS], ids=dotted)
+@pytest.mark.parametrize(
+    "path", [p for p in ALL_PATHS if isinstance(value_at(p), dict) and p not in FREE_MAPS], ids=dotted
+)
 def test_an_unknown_key_is_named(path: tuple[Any, ...]) -> None:
     with pytest.raises(BundleFormatError, match="surprise") as caught:
-        decode_manifest(sealed(changed((*path, "surprise"), leaf(path).get("motion", 1))))
+        decode_manifest(sealed(changed((*path, "surprise"), value_at(path).get("motion", 1))))
     assert str(path[0]) in str(caught.value)
 
 
@@ -102,8 +104,7 @@ def test_an_unknown_key_at_the_top_is_named() -> None:
 
 
 def wrong_values(path: tuple[Any, ...]) -> list[object]:
-    """JSON values of every type that this place does not take."""
-    found = leaf(path)
+    """List JSON values of every type that is wrong at a path."""
     if path[0] == "training" and len(path) == 2:
         return [None, True, [], {}]
     by_type: dict[type, list[object]] = {
@@ -113,7 +114,7 @@ def wrong_values(path: tuple[Any, ...]) -> list[object]:
         list: [None, 1, "text", {}],
         dict: [None, 1, "text", []],
     }
-    return by_type[type(found)]
+    return by_type[type(value_at(path))]
 
 
 @pytest.mark.parametrize("path", ALL_PATHS, ids=dotted)

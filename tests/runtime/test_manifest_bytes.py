@@ -1,4 +1,4 @@
-"""The bytes of a manifest: whatever they are, they give a manifest or an error of the bundle."""
+"""The bytes of a manifest: any input gives a manifest or a bundle error."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from kinegraph.bundle.manifest import decode_manifest, seal, to_json
+from kinegraph.bundle.manifest import decode_manifest, encode_manifest, seal
 from kinegraph.errors import BundleError, BundleFormatError, BundleIntegrityError
 from support.manifests import ALL_PATHS, changed
 from support.synthetic_bundle import bundle_files, manifest_for, sealed
@@ -43,7 +43,7 @@ def test_text_that_is_no_object_is_refused(body: bytes) -> None:
 
 
 def test_a_flipped_bit_anywhere_is_noticed() -> None:
-    data = to_json(manifest_for(bundle_files()))
+    data = encode_manifest(manifest_for(bundle_files()))
     generator = random.Random(20)
     for _ in range(400):
         position = generator.randrange(len(data))
@@ -56,7 +56,7 @@ def test_a_flipped_bit_anywhere_is_noticed() -> None:
 @pytest.mark.parametrize("size", [0, 1, 50, 100, 1000])
 def test_a_cut_manifest_is_noticed(size: int) -> None:
     with pytest.raises(BundleIntegrityError):
-        decode_manifest(to_json(manifest_for(bundle_files()))[:size])
+        decode_manifest(encode_manifest(manifest_for(bundle_files()))[:size])
 
 
 JSON = st.recursive(
@@ -74,7 +74,7 @@ def test_any_json_anywhere_gives_a_manifest_or_a_bundle_error(path: tuple[Any, .
     except BundleError:
         return
     assert manifest.contracts
-    assert decode_manifest(to_json(manifest)) == manifest
+    assert decode_manifest(encode_manifest(manifest)) == manifest
 
 
 @settings(max_examples=200, deadline=None)

@@ -1,4 +1,4 @@
-"""A good manifest, every place in it, and the same with one place changed."""
+"""A valid manifest as JSON, the paths of its keys, and copies with one value changed."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ GOOD = manifest_object()
 
 
 def paths(value: Any, here: tuple[Any, ...] = ()) -> Iterator[tuple[Any, ...]]:
-    """Every key and the first item of every list."""
+    """Yield the path of every key, and of the first item of every list."""
     items = value.items() if isinstance(value, dict) else list(enumerate(value))[:1] if isinstance(value, list) else ()
     for key, inner in items:
         yield (*here, key)
@@ -20,23 +20,26 @@ def paths(value: Any, here: tuple[Any, ...] = ()) -> Iterator[tuple[Any, ...]]:
 
 
 def changed(path: tuple[Any, ...], value: object) -> dict[str, Any]:
+    """Copy the valid manifest with another value at a path."""
     copied = copy.deepcopy(GOOD)
-    place: Any = copied
+    parent: Any = copied
     for key in path[:-1]:
-        place = place[key]
-    place[path[-1]] = value
+        parent = parent[key]
+    parent[path[-1]] = value
     return copied
 
 
 def dotted(path: tuple[Any, ...]) -> str:
+    """Write a path as error messages do: "files.decoder.onnx.bytes"."""
     return "".join(f"[{key}]" if isinstance(key, int) else f".{key}" for key in path).lstrip(".")
 
 
-def leaf(path: tuple[Any, ...]) -> Any:
-    place: Any = GOOD
+def value_at(path: tuple[Any, ...]) -> Any:
+    """Return the value of the valid manifest at a path."""
+    value: Any = GOOD
     for key in path:
-        place = place[key]
-    return place
+        value = value[key]
+    return value
 
 
 ALL_PATHS = list(paths(GOOD))

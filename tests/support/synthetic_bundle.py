@@ -26,8 +26,8 @@ from kinegraph.bundle.manifest import (
     SkeletonSpec,
     TextSpec,
     describe_file,
+    encode_manifest,
     seal,
-    to_json,
 )
 from kinegraph.graph import ROLES
 from kinegraph.motion.skeleton import JOINT_NAMES, PARENTS
@@ -141,13 +141,13 @@ def write_bundle(folder: Path, contents: Mapping[str, bytes] | None = None, **ch
     for name, data in contents.items():
         (folder / name).write_bytes(data)
     manifest = dataclasses.replace(manifest_for(contents), **changes)
-    (folder / "manifest.json").write_bytes(to_json(manifest))
+    (folder / "manifest.json").write_bytes(encode_manifest(manifest))
     return folder
 
 
 def manifest_object() -> dict[str, Any]:
     """The manifest as parsed JSON without its seal, for tests to break."""
-    value = json.loads(to_json(manifest_for(bundle_files())))
+    value = json.loads(encode_manifest(manifest_for(bundle_files())))
     del value["sha256"]
     return value
 

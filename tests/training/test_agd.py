@@ -14,8 +14,8 @@ pytest.importorskip("onnxscript")
 import numpy as np
 import onnxruntime
 
-from kinegraph.bundle.contract import PADDING_BIAS, LevelSpec, context_agd, step_agd
-from kinegraph.diffusion.composition import CompositionWeights, combine_rows, plan_rows, step_sizes
+from kinegraph.bundle.contract import PADDING_BIAS, LevelSpec, context_agd, denoiser_agd
+from kinegraph.diffusion.composition import CompositionWeights, combine_rows, plan_rows, agd_step_sizes
 from kinegraph_export.graphs import export_graph
 from kinegraph_export.modules import AgdContextGraph, AgdDenoiserGraph, ContextGraph, DenoiserGraph
 from kinegraph_export.onnx_export import round_weights
@@ -189,19 +189,19 @@ def test_one_run_of_trained_modules_is_equations_7_to_10(
     expected = fused + scale * added(2 + n + joint, mixture.negated, base)
 
     plan = plan_rows(mixture, scale, coarse=apart)
-    rows, context = len(plan.mix), torch.from_numpy(plan.wiring.context)
+    rows, context = len(plan.coefficients), torch.from_numpy(plan.routing.context)
     graph = AgdDenoiserGraph(AgdNoisePredictor(case.denoiser))
     with torch.no_grad():
         found = graph(
             case.parts["latent"][:1].expand(rows, -1, -1),
             case.parts["modulation"][:1].expand(rows, -1, -1),
             case.parts["context"][context],
-            torch.from_numpy(step_sizes(plan.wiring, gamma)),
-            torch.from_numpy(plan.wiring.src),
-            torch.from_numpy(plan.wiring.combine),
+            torch.from_numpy(agd_step_sizes(plan.routing, gamma)),
+            torch.from_numpy(plan.routing.src),
+            torch.from_numpy(plan.routing.combine),
             case.parts["bias"][context],
         )
-    np.testing.assert_allclose(combine_rows(found.numpy(), plan.mix)[0], expected.numpy(), atol=1e-4)
+    np.testing.assert_allclose(combine_rows(found.numpy(), plan.coefficients)[0], expected.numpy(), atol=1e-4)
 
 
 def nodes_of(seed: int) -> tuple[torch.Tensor, ...]:
@@ -256,7 +256,7 @@ def traces() -> Iterator[None]:
 def test_the_exported_step_is_the_network_and_moves_its_context(precision: str) -> None:
     case = made(2, 4, 5, 0.02, 9)
     round_weights(case.denoiser)
-    contract = step_agd("action", LEVEL)
+    contract = denoiser_agd("action", LEVEL)
     data, parity = export_graph(AgdDenoiserGraph(AgdNoisePredictor(case.denoiser)), contract, 4, precision)  # type: ignore[arg-type]
     assert parity["step_action_agd"] <= 1e-4
     session = onnxruntime.InferenceSession(data, providers=["CPUExecutionProvider"])

@@ -1,12 +1,14 @@
 """Inputs and outputs of every ONNX graph of a bundle, declared once for export, loading and tests.
 
-Axes are numbers where the size is fixed by the bundle and names where it is free:
+An axis is a number where the bundle fixes its size and a name where the size is free:
 
     B samples     R latent rows     A attention rows     T text tokens     N graph nodes     K diffusion steps
-    S context tokens (node tokens first, then the coarser latent's)     L frames     M as many as R, or 1 for all rows
+    S context tokens (node tokens first, then the coarser latent's)     L frames     M equal to R, or 1 for all rows
 
-Rows of a step are predictions (unconditional, a concept, ...); attention row `a` lets latent row `src[a]`
-attend to its own context, and `combine` mixes attention outputs back into rows.
+A latent row is one noise prediction (unconditional, one concept, ...). In attention row `a` the latent row `src[a]`
+attends to a context of its own, and `combine` mixes the attention outputs back into latent rows.
+
+The files of format 3 are named by older words: `clock_*` holds the AdaLN modulation of a level, `step_*` its denoiser.
 """
 
 from __future__ import annotations
@@ -21,17 +23,17 @@ LEVELS: Final[tuple[str, ...]] = ("motion", "action", "specific")
 """Coarse to fine; a level sees the final latent of the one before it."""
 
 COARSE_DECODERS: Final[Mapping[str, str]] = {level: f"decoder_{level}" for level in LEVELS[:-1]}
-"""Level -> graph that shows how far a clip has come after it; a bundle need not have them."""
+"""Level -> graph that decodes its latent for a preview; optional."""
 
 AGD_CONTEXTS: Final[Mapping[str, str]] = {level: f"context_{level}_agd" for level in LEVELS}
-AGD_STEPS: Final[Mapping[str, str]] = {level: f"step_{level}_agd" for level in LEVELS}
-"""Level -> graphs of adaptive gradient descent (EnergyMoGen, Eq. 3, 4); a bundle has all of them or none."""
+AGD_DENOISERS: Final[Mapping[str, str]] = {level: f"step_{level}_agd" for level in LEVELS}
+"""Level -> denoiser with adaptive gradient descent (EnergyMoGen, Eq. 3, 4); a bundle has all `*_agd` graphs or none."""
 
 NODE_KINDS: Final[tuple[str, ...]] = ("motion", "action", "specific")
-"""Position is the number in a context graph's `kind` input."""
+"""The index of a kind is its number in the `kind` input of a context graph."""
 
 NULL_KIND: Final = 3
-"""`kind` of the learned null token of unconditional rows: its node features are ignored."""
+"""`kind` of the learned null token of unconditional rows; its node features are ignored."""
 
 MODULATIONS: Final = 6
 """Per layer of a denoiser: scale and shift before self-attention, before cross-attention and before feed-forward."""
@@ -40,7 +42,7 @@ FLOAT: Final = "float32"
 INT: Final = "int64"
 
 TOLERANCE: Final = 1e-4
-"""Largest absolute difference from the trained modules that an fp32 export may have."""
+"""Largest allowed absolute difference of an fp32 export from the trained modules."""
 
 PADDING_BIAS: Final = -1e4
 """Attention bias of padding tokens; -inf would turn a row of padding into NaN."""
@@ -49,7 +51,7 @@ _ORT_TYPES: Final[Mapping[str, str]] = {FLOAT: "tensor(float)", INT: "tensor(int
 
 
 class Tensor(Protocol):
-    """What onnxruntime tells about one input or output (`onnxruntime.NodeArg`)."""
+    """Description of one input or output of a session (`onnxruntime.NodeArg`)."""
 
     @property
     def name(self) -> str: ...
@@ -71,29 +73,29 @@ class LevelSpec:
     """Model width d."""
     heads: int
     layers: int
-    """Layers with cross-attention: each has one key and one value."""
+    """Layers, each with cross-attention to one key and one value."""
     nodes: tuple[str, ...]
-    """Kinds of graph nodes the level attends to, out of `NODE_KINDS`."""
+    """Kinds of graph nodes that the level attends to, of `NODE_KINDS`."""
 
     @property
     def modulations(self) -> int:
-        """Rows of `modulation`: scales and shifts of all layers."""
+        """Rows of the `modulation` tensor: scales and shifts of all layers."""
         return MODULATIONS * self.layers
 
 
 @dataclass(frozen=True)
 class TensorSpec:
-    """One input or output."""
+    """Name, axes and type of one input or output."""
 
     name: str
     axes: tuple[str | int, ...]
-    """A number is a fixed size, a name a free one."""
+    """A number for a fixed size, a name for a free one."""
     dtype: str = FLOAT
 
 
 @dataclass(frozen=True)
 class GraphContract:
-    """One ONNX graph: its file is `{name}.onnx`."""
+    """Signature of one ONNX graph, stored as `{name}.onnx`."""
 
     name: str
     inputs: tuple[TensorSpec, ...]
@@ -107,16 +109,26 @@ class GraphContract:
 
 
 def text_encoder(text_width: int) -> GraphContract:
-    """`pooled` is the mean of `hidden` over the unmasked tokens, special ones included, not normalised."""
+    """Declare the text encoder.
+
+    `hidden` holds the token states. `pooled` is their mean over unmasked tokens, special ones included, not normalised.
+
+    Args:
+        text_width: D.
+    """
     tokens = (TensorSpec("input_ids", ("B", "T"), INT), TensorSpec("attention_mask", ("B", "T"), INT))
     outputs = (TensorSpec("hidden", ("B", "T", text_width)), TensorSpec("pooled", ("B", text_width)))
     return GraphContract("text_encoder", tokens, outputs)
 
 
 def graph_encoder(text_width: int) -> GraphContract:
-    """Graph attention: `relation` is the role's number or -1 for no edge, `node_mask` 1 for a node.
+    """Declare the graph attention network (GraphMotion, Eq. 1-3).
 
-    On padding `node_mask` and `nodes_out` are 0.
+    `relation` is the number of an edge's role, or -1 where there is no edge. `node_mask` is 1 on nodes, 0 on padding;
+    `nodes_out` is 0 on padding.
+
+    Args:
+        text_width: D.
     """
     inputs = (
         TensorSpec("nodes", ("B", "N", text_width)),
@@ -142,45 +154,57 @@ def _context_inputs(text_width: int, coarse: LevelSpec | None) -> tuple[TensorSp
 
 
 def context(name: str, level: LevelSpec, text_width: int, coarse: LevelSpec | None) -> GraphContract:
-    """Keys and values of one level, once per sample.
+    """Declare the context encoder of one level: keys and values for cross-attention, computed once per sample.
 
     Args:
         name: one of `LEVELS`.
-        level: its dimensions.
+        level: dimensions of that level.
         text_width: D, width of the graph encoder's nodes.
-        coarse: the level above, whose latent is an input; None at the motion level.
+        coarse: the coarser level, whose latent is an input; None at the motion level.
     """
     return GraphContract(f"context_{name}", _context_inputs(text_width, coarse), _keys_values(level, "B"))
 
 
 def context_agd(name: str, level: LevelSpec, text_width: int, coarse: LevelSpec | None) -> GraphContract:
-    """The tokens that keys and values are made of, instead of them; arguments as for `context`."""
+    """Declare `context` for adaptive gradient descent.
+
+    Its output is the context tokens themselves, because the denoiser updates them before it computes keys and values.
+    Arguments as for `context`.
+    """
     tokens = (TensorSpec("context", ("B", "S", level.width)),)
     return GraphContract(AGD_CONTEXTS[name], _context_inputs(text_width, coarse), tokens)
 
 
-def clock(name: str, level: LevelSpec) -> GraphContract:
-    """Scale and shift of every normalisation of one level, for all diffusion steps and lengths of a run at once."""
+def modulation(name: str, level: LevelSpec) -> GraphContract:
+    """Declare the AdaLN modulation of one level: scale and shift of every layer normalisation.
+
+    It runs once per call, for all diffusion steps and clip lengths together. Arguments as for `context`.
+    """
     inputs = (TensorSpec("timestep", ("K",), INT), TensorSpec("frames", ("B",), INT))
     outputs = (TensorSpec("modulation", ("K", "B", level.modulations, level.width)),)
     return GraphContract(f"clock_{name}", inputs, outputs)
 
 
-def step(name: str, level: LevelSpec) -> GraphContract:
-    """The noise in R latent rows, one diffusion step.
+def denoiser(name: str, level: LevelSpec) -> GraphContract:
+    """Declare the denoiser of one level: it predicts the noise in R latent rows at one diffusion step.
 
-    `bias` holds the log edge weights of the context tokens and `PADDING_BIAS` on padding.
+    `bias` is added to the attention logits: the log edge weight of each context token, `PADDING_BIAS` on padding.
+    Arguments as for `context`.
     """
-    return _step(f"step_{name}", level, _keys_values(level, "A"))
+    return _denoiser(f"step_{name}", level, _keys_values(level, "A"))
 
 
-def step_agd(name: str, level: LevelSpec) -> GraphContract:
-    """`step` with a context that moves from layer to layer; `gamma` holds the step sizes gamma_attn and gamma_reg."""
-    moving = (TensorSpec("context", ("A", "S", level.width)), TensorSpec("gamma", ("A", 2)))
-    return _step(AGD_STEPS[name], level, moving)
+def denoiser_agd(name: str, level: LevelSpec) -> GraphContract:
+    """Declare `denoiser` with adaptive gradient descent (EnergyMoGen, Eq. 3, 4).
+
+    Each layer updates the context that the next one attends to. `gamma` holds the step sizes gamma_attn and
+    gamma_reg. Arguments as for `context`.
+    """
+    attended = (TensorSpec("context", ("A", "S", level.width)), TensorSpec("gamma", ("A", 2)))
+    return _denoiser(AGD_DENOISERS[name], level, attended)
 
 
-def _step(graph: str, level: LevelSpec, attended: tuple[TensorSpec, ...]) -> GraphContract:
+def _denoiser(graph: str, level: LevelSpec, attended: tuple[TensorSpec, ...]) -> GraphContract:
     latent = ("R", level.tokens, level.latent_width)
     inputs = (
         TensorSpec("latent", latent),
@@ -194,9 +218,14 @@ def _step(graph: str, level: LevelSpec, attended: tuple[TensorSpec, ...]) -> Gra
 
 
 def decoder(name: str, level: LevelSpec, features: int) -> GraphContract:
-    """Normalised features from a level's latent; the graph `decoder` is that of the finest.
+    """Declare the decoder of one level: normalised motion features from its latent.
 
     `frame_mask` is 1 on frames, 0 on padding; L is a multiple of the bundle's frames per token.
+
+    Args:
+        name: of the graph: "decoder" for the finest level, else one of `COARSE_DECODERS`.
+        level: dimensions of the level.
+        features: F, width of the feature layout.
     """
     inputs = (
         TensorSpec("latent", ("B", level.tokens, level.latent_width)),
@@ -206,23 +235,23 @@ def decoder(name: str, level: LevelSpec, features: int) -> GraphContract:
 
 
 def contracts(levels: Mapping[str, LevelSpec], text_width: int, features: int) -> dict[str, GraphContract]:
-    """Every graph that a bundle may hold by name, in the order of running, the optional ones last.
+    """Declare every graph that a bundle may hold, by name, in order of execution; the optional ones come last.
 
     Args:
         levels: one spec for each of `LEVELS`.
-        text_width: D, the text encoder's width.
-        features: F, the width of the feature layout.
+        text_width: D, width of the text encoder.
+        features: F, width of the feature layout.
     """
     graphs = [text_encoder(text_width), graph_encoder(text_width)]
-    adaptive: list[GraphContract] = []
+    agd_graphs: list[GraphContract] = []
     coarse: LevelSpec | None = None
     for name in LEVELS:
-        own = levels[name]
-        graphs += [context(name, own, text_width, coarse), clock(name, own), step(name, own)]
-        adaptive += [context_agd(name, own, text_width, coarse), step_agd(name, own)]
-        coarse = levels[name]
+        level = levels[name]
+        graphs += [context(name, level, text_width, coarse), modulation(name, level), denoiser(name, level)]
+        agd_graphs += [context_agd(name, level, text_width, coarse), denoiser_agd(name, level)]
+        coarse = level
     graphs.append(decoder("decoder", levels[LEVELS[-1]], features))
-    graphs += [decoder(graph, levels[level], features) for level, graph in COARSE_DECODERS.items()] + adaptive
+    graphs += [decoder(graph, levels[level], features) for level, graph in COARSE_DECODERS.items()] + agd_graphs
     return {graph.name: graph for graph in graphs}
 
 
@@ -232,32 +261,32 @@ GRAPHS: Final[tuple[str, ...]] = (
     *(f"{part}_{level}" for level in LEVELS for part in ("context", "clock", "step")),
     "decoder",
 )
-"""Names of all graphs that a bundle must have, in the order of running."""
+"""Names of all graphs that a bundle must have, in order of execution."""
 
 OPTIONAL_GRAPHS: Final[tuple[str, ...]] = (
     *COARSE_DECODERS.values(),
-    *(names[level] for level in LEVELS for names in (AGD_CONTEXTS, AGD_STEPS)),
+    *(names[level] for level in LEVELS for names in (AGD_CONTEXTS, AGD_DENOISERS)),
 )
-"""Names of those that it may have; read at their first use."""
+"""Names of all graphs that a bundle may have; each is read at its first use."""
 
 
-def check(inputs: Iterable[Tensor], outputs: Iterable[Tensor], contract: GraphContract) -> None:
-    """Compare a session's inputs and outputs with the contract.
+def check_signature(inputs: Iterable[Tensor], outputs: Iterable[Tensor], contract: GraphContract) -> None:
+    """Compare a session's inputs and outputs with the contract, by name; their order does not matter.
 
     Args:
         inputs: `session.get_inputs()`.
         outputs: `session.get_outputs()`.
-        contract: what the graph has to look like. Order does not matter, names do.
+        contract: the expected signature.
 
     Raises:
-        BundleFormatError: naming graph, tensor, what is expected and what was found.
+        BundleFormatError: a difference; the message names graph, tensor, expected and actual value.
     """
     _check_side(contract.name, "input", list(inputs), contract.inputs)
     _check_side(contract.name, "output", list(outputs), contract.outputs)
 
 
-def _check_side(graph: str, side: str, found: list[Tensor], expected: tuple[TensorSpec, ...]) -> None:
-    by_name = {tensor.name: tensor for tensor in found}
+def _check_side(graph: str, side: str, tensors: list[Tensor], expected: tuple[TensorSpec, ...]) -> None:
+    by_name = {tensor.name: tensor for tensor in tensors}
     names = [spec.name for spec in expected]
     for spec in expected:
         tensor = by_name.get(spec.name)
@@ -273,9 +302,9 @@ def _check_side(graph: str, side: str, found: list[Tensor], expected: tuple[Tens
             raise BundleFormatError(f"{graph}.onnx has an unknown {side} {name!r}; expected are {names}")
 
 
-def _same_axes(found: list[int | str | None], expected: tuple[str | int, ...]) -> bool:
-    # A number where a name is declared is an axis that the exporter froze at its sample's size.
-    return len(found) == len(expected) and all(
+def _same_axes(shape: list[int | str | None], expected: tuple[str | int, ...]) -> bool:
+    # A number where a name is declared is an axis that the exporter froze at the size of its sample input.
+    return len(shape) == len(expected) and all(
         size == axis if isinstance(axis, int) else not isinstance(size, int)
-        for size, axis in zip(found, expected, strict=True)
+        for size, axis in zip(shape, expected, strict=True)
     )

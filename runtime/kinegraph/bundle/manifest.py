@@ -1,6 +1,7 @@
-"""`manifest.json`: what a bundle is. Read-only facts; what a call wants lives in `kinegraph.options`.
+"""`manifest.json`: the read-only facts of a bundle, their reading and writing, and their validation.
 
-Checks across the fields of a manifest: what types alone cannot say."""
+The records mirror the JSON object key by key. What one call asks for lives in `kinegraph.options`.
+"""
 
 from __future__ import annotations
 
@@ -13,7 +14,7 @@ from typing import Final, Literal
 
 from kinegraph.bundle.contract import (
     AGD_CONTEXTS,
-    AGD_STEPS,
+    AGD_DENOISERS,
     GRAPHS,
     LEVELS,
     NODE_KINDS,
@@ -22,12 +23,35 @@ from kinegraph.bundle.contract import (
     LevelSpec,
     contracts,
 )
-from kinegraph.bundle.strict_json import decode, parse_object, plain
+from kinegraph.bundle.strict_json import decode, parse_object, to_plain
 from kinegraph.diffusion.sampling import NoiseSchedule
 from kinegraph.errors import BundleFormatError, BundleIntegrityError, InvalidInputError
 from kinegraph.graph import ROLES
 from kinegraph.limits import MAX_FRAMES
 from kinegraph.motion.skeleton import JOINT_NAMES, PARENTS
+
+FORMAT_VERSION: Final = 3
+OLDEST_VERSION: Final = 2
+"""Format 2 has no coarse decoders and no graphs of adaptive gradient descent."""
+
+GRAPH_FILES: Final[tuple[str, ...]] = tuple(f"{graph}.onnx" for graph in GRAPHS)
+REQUIRED_FILES: Final[frozenset[str]] = frozenset((*GRAPH_FILES, "tokenizer.json", "tables.npz"))
+AGD_FILES: Final[frozenset[str]] = frozenset(
+    f"{graph}.onnx" for graph in (*AGD_CONTEXTS.values(), *AGD_DENOISERS.values())
+)
+"""A bundle has all of the graphs of adaptive gradient descent or none."""
+OPTIONAL_GRAPH_FILES: Final[frozenset[str]] = frozenset(f"{graph}.onnx" for graph in OPTIONAL_GRAPHS)
+OPTIONAL_FILES: Final[frozenset[str]] = OPTIONAL_GRAPH_FILES | {"parser.bin", "arguments.npz"}
+"""A bundle works without these, with limits.
+
+- Without parser.bin it takes graphs, but no plain sentences.
+- Without arguments.npz its parser labels arguments by rules.
+- Without the coarse decoders it shows no clip before the last level is done.
+- Without the graphs of adaptive gradient descent it refuses to compose with `agd`.
+"""
+
+
+# Records
 
 
 @dataclass(frozen=True)
@@ -43,13 +67,16 @@ class Licence:
 
 @dataclass(frozen=True)
 class SkeletonSpec:
+    """Joints of the body; they must equal those of `kinegraph.motion.skeleton`."""
+
     joint_names: tuple[str, ...]
     parents: tuple[int, ...]
+    """Index of each joint's parent."""
 
 
 @dataclass(frozen=True)
 class FrameSpec:
-    """Frames one clip may have."""
+    """Limits on the frames of one clip."""
 
     min: int
     max: int
@@ -59,19 +86,24 @@ class FrameSpec:
 
 @dataclass(frozen=True)
 class FeatureSpec:
+    """Motion features that the decoders return, and their normalisation: `decoded * std + mean`."""
+
     layout: Literal["joints-137", "humanml3d-263"]
     heading: Literal["true", "humanml3d"]
     mean: tuple[float, ...]
+    """(F,)."""
     std: tuple[float, ...]
-    """Features are `decoded * std + mean`."""
+    """(F,), all positive."""
 
 
 @dataclass(frozen=True)
 class TextSpec:
+    """Dimensions and tokens of the text encoder."""
+
     width: int
-    """D, width of the text encoder's states."""
+    """D, width of the text encoder's hidden states."""
     mask_token: str
-    """What a masked word is replaced by in the caption."""
+    """Token that replaces a masked word in the caption."""
 
 
 @dataclass(frozen=True)
@@ -87,32 +119,40 @@ class ScheduleSpec:
 
     @property
     def noise(self) -> NoiseSchedule:
-        """The schedule to sample with."""
+        """Schedule to sample with."""
         return NoiseSchedule(self.train_steps, self.beta_start, self.beta_end, self.steps_offset, self.spacing)
 
 
 @dataclass(frozen=True)
 class Defaults:
-    """What a call gets that does not say otherwise."""
+    """Options of a call that leaves them out."""
 
     steps: Mapping[str, int]
     """Diffusion steps per level."""
     guidance: Mapping[str, float]
     """Guidance scale per level."""
     guidance_base: Literal["empty", "coarse"]
-    """What guidance leads away from: GraphMotion's "empty" set (Eq. A), or no text beside the "coarse"r latent."""
+    """Unconditional branch of classifier-free guidance: "empty" drops text and coarse latent (Eq. A); "coarse" drops
+    the text only."""
     seconds: float
+    """Length of a clip where neither the caller nor the duration model gives one."""
 
 
 @dataclass(frozen=True)
 class FileSpec:
+    """Hash and size of one file."""
+
     sha256: str
     bytes: int
 
 
 @dataclass(frozen=True)
 class Manifest:
-    """All of `manifest.json`; made by `decode_manifest`, written by `to_json`."""
+    """Content of `manifest.json`; read by `decode_manifest`, written by `encode_manifest`.
+
+    Raises:
+        BundleFormatError: a value is out of range, or fields contradict each other; the message names the key.
+    """
 
     format_version: int
     name: str
@@ -121,7 +161,7 @@ class Manifest:
     provenance: Mapping[str, str]
     """Training data, sources and hashes of text encoder and parser, versions of the build tools."""
     scope: Mapping[str, str]
-    """What the model can do and what it cannot, in words: actions, manners, and so on."""
+    """Abilities and limits of the model in words: actions, styles, and so on."""
     skeleton: SkeletonSpec
     fps: float
     frames: FrameSpec
@@ -131,16 +171,21 @@ class Manifest:
     schedule: ScheduleSpec
     defaults: Defaults
     roles: tuple[str, ...]
+    """Roles of edges by number, as the graph encoder was trained with: those of `kinegraph.graph.ROLES`."""
     precision: Literal["fp32", "int8"]
     files: Mapping[str, FileSpec]
+    """File name -> hash and size, of every file but the manifest."""
     operators: Mapping[str, tuple[str, ...]]
     """Graph file -> sorted `domain::OpType`; `kinegraph verify` compares them with the graphs."""
     parity: Mapping[str, float]
+    """Largest difference from the trained model: per graph (int8: relative) and of whole clips (mean of joints, mm)."""
     training: Mapping[str, str | float | int]
+    """Settings of the training run."""
     quality: Mapping[str, float]
+    """Measured quality, by metric."""
 
     def __post_init__(self) -> None:
-        check_manifest(self)
+        _validate(self)
 
     @property
     def contracts(self) -> dict[str, GraphContract]:
@@ -154,15 +199,17 @@ class Manifest:
         return self.frames.min / self.fps, self.frames.max / self.fps
 
 
-# A manifest ends with its own SHA-256, over every byte before it: no other file vouches for this one,
-# and a flipped bit in a mean or a scale would otherwise change the motion without a sign.
+# Reading and writing
+
+# A manifest ends with its own SHA-256, over every byte before it. No other file vouches for this one, and a flipped
+# bit in a mean or a scale would otherwise change the motion unnoticed.
 _SEAL: Final = re.compile(rb',\n "sha256": "([0-9a-f]{64})"\n}\n\Z')
 
 
-def to_json(manifest: Manifest) -> bytes:
-    """The content of `manifest.json`, sealed with its own SHA-256."""
+def encode_manifest(manifest: Manifest) -> bytes:
+    """Write the content of `manifest.json`, sealed with its own SHA-256."""
     # allow_nan=False: a NaN quality figure must fail here, not at every user's load.
-    text = json.dumps(plain(manifest), indent=1, ensure_ascii=False, allow_nan=False)
+    text = json.dumps(to_plain(manifest), indent=1, ensure_ascii=False, allow_nan=False)
     return seal(text.removesuffix("\n}").encode())
 
 
@@ -172,7 +219,7 @@ def seal(body: bytes) -> bytes:
 
 
 def decode_manifest(data: bytes) -> Manifest:
-    """Read and check the content of `manifest.json`.
+    """Read and validate the content of `manifest.json`.
 
     Raises:
         BundleIntegrityError: the bytes differ from the SHA-256 at their end.
@@ -193,27 +240,16 @@ def decode_manifest(data: bytes) -> Manifest:
     value = parse_object(body + b"\n}", "manifest.json")
     # The version first: a newer format has other keys, and "unknown key" would send the reader the wrong way.
     if type(value.get("format_version")) is int:
-        check_version(value["format_version"])
+        _check_version(value["format_version"])
     return decode(Manifest, value, "manifest.json")
 
 
 def describe_file(data: bytes) -> FileSpec:
-    """Entry of `files` for a file with this content."""
+    """Describe the content of one file for `Manifest.files`."""
     return FileSpec(sha256=hashlib.sha256(data).hexdigest(), bytes=len(data))
 
 
-FORMAT_VERSION: Final = 3
-OLDEST_VERSION: Final = 2
-"""Format 2 knows no coarse decoders and no graphs of adaptive gradient descent."""
-
-GRAPH_FILES: Final[tuple[str, ...]] = tuple(f"{graph}.onnx" for graph in GRAPHS)
-REQUIRED_FILES: Final[frozenset[str]] = frozenset((*GRAPH_FILES, "tokenizer.json", "tables.npz"))
-OPTIONAL_GRAPH_FILES: Final[frozenset[str]] = frozenset(f"{graph}.onnx" for graph in OPTIONAL_GRAPHS)
-OPTIONAL_FILES: Final[frozenset[str]] = OPTIONAL_GRAPH_FILES | {"parser.bin", "arguments.npz"}
-"""Without the parser a bundle takes graphs, but no plain sentences; without arguments.npz its parser goes by rules;
-without the coarse decoders it shows no clip before the last level is done; without the graphs of adaptive gradient
-descent it refuses to compose with it."""
-AGD_FILES: Final[frozenset[str]] = frozenset(f"{graph}.onnx" for graph in (*AGD_CONTEXTS.values(), *AGD_STEPS.values()))
+# Validation: ranges, and agreement between fields, which types alone cannot express
 
 MAX_DIMS: Final[Mapping[str, int]] = {
     "tokens": 256,
@@ -222,18 +258,14 @@ MAX_DIMS: Final[Mapping[str, int]] = {
     "heads": 256,
     "layers": 256,
 }
-"""Far above any model; contracts are sized by these before a file is trusted."""
+"""Upper limits on `LevelSpec`, far above any model: they bound the size of contracts before a file is trusted."""
 
 LAYOUT_WIDTHS: Final[Mapping[str, int]] = {"joints-137": 137, "humanml3d-263": 263}
+"""Feature layout -> F, width of its features."""
 
 
-def check_manifest(manifest: Manifest) -> None:
-    """Check everything that involves more than one field, or a range.
-
-    Raises:
-        BundleFormatError: naming the path of the key, what is allowed and what was found.
-    """
-    check_version(manifest.format_version)
+def _validate(manifest: Manifest) -> None:
+    _check_version(manifest.format_version)
     _check_body(manifest)
     _check_features(manifest.features)
     _check_levels(manifest.levels)
@@ -246,8 +278,8 @@ def _require(holds: bool, key: str, message: str) -> None:
         raise BundleFormatError(f"manifest.json: {key} {message}")
 
 
-def check_version(version: int) -> None:
-    """Raise BundleFormatError unless this kinegraph reads that format."""
+def _check_version(version: int) -> None:
+    """Refuse a format that this release does not read."""
     _require(
         OLDEST_VERSION <= version <= FORMAT_VERSION,
         "format_version",
@@ -286,11 +318,11 @@ def _check_body(manifest: Manifest) -> None:
 def _check_features(features: FeatureSpec) -> None:
     width = LAYOUT_WIDTHS[features.layout]
     for key in ("mean", "std"):
-        found = len(getattr(features, key))
+        count = len(getattr(features, key))
         _require(
-            found == width,
+            count == width,
             f"features.{key}",
-            f"must have {width} numbers for {features.layout}, found {found}",
+            f"must have {width} numbers for {features.layout}, found {count}",
         )
     _require(min(features.std) > 0, "features.std", f"must be positive, found {min(features.std)}")
 
@@ -302,8 +334,8 @@ def _check_levels(levels: Mapping[str, LevelSpec]) -> None:
         level = levels[name]
         key = f"levels.{name}"
         for field, most in MAX_DIMS.items():
-            found = getattr(level, field)
-            _require(1 <= found <= most, f"{key}.{field}", f"must be 1 to {most}, found {found}")
+            size = getattr(level, field)
+            _require(1 <= size <= most, f"{key}.{field}", f"must be 1 to {most}, found {size}")
         _require(
             level.width % level.heads == 0,
             f"{key}.heads",
@@ -316,7 +348,7 @@ def _check_levels(levels: Mapping[str, LevelSpec]) -> None:
             f"must be some of {list(NODE_KINDS)} in this order, found {list(level.nodes)}",
         )
         if coarse is not None:
-            # The coarser latent is handed on as context tokens of the same width.
+            # The coarser latent becomes context tokens of this level, of the same width.
             _require(
                 level.latent_width == coarse.latent_width,
                 f"{key}.latent_width",
@@ -382,9 +414,9 @@ def _check_files(files: Mapping[str, FileSpec], operators: Mapping[str, tuple[st
         _require(entry.bytes >= 0, f"files.{name}.bytes", f"must not be negative, found {entry.bytes}")
     missing = sorted(REQUIRED_FILES - set(files))
     _require(not missing, "files", f"lacks {missing}")
-    adaptive = AGD_FILES & set(files)
+    agd_files = AGD_FILES & set(files)
     _require(
-        not adaptive or adaptive == AGD_FILES, "files", f"has {sorted(adaptive)}, of {sorted(AGD_FILES)} all or none"
+        not agd_files or agd_files == AGD_FILES, "files", f"has {sorted(agd_files)}, of {sorted(AGD_FILES)} all or none"
     )
     graphs = sorted(name for name in files if name.endswith(".onnx"))
     _require(

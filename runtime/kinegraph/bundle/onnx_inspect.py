@@ -1,6 +1,6 @@
-"""What an ONNX file asks for, read without the onnx package: its operators, and whether it names other files.
+"""Inspection of ONNX files without the onnx package: operators, and references to other files.
 
-Only the protobuf framing is walked and tensor contents are skipped. Field numbers are those of onnx.proto.
+Only the protobuf framing is walked; tensor contents are skipped. Field numbers are those of onnx.proto.
 """
 
 from __future__ import annotations
@@ -18,44 +18,48 @@ _VARINT, _FIXED64, _BYTES, _FIXED32 = 0, 1, 2, 5
 
 
 @dataclass
-class _Found:
+class _Findings:
+    """Facts collected during a walk."""
+
     operators: set[str] = field(default_factory=set)
     external: bool = False
 
 
 @dataclass(frozen=True)
 class OnnxSummary:
+    """Operators of a model, and whether it is complete in one file."""
+
     operators: tuple[str, ...]
-    """Sorted `domain::OpType` of all nodes, those of nested graphs and of functions included."""
+    """Sorted `domain::OpType` of all nodes, including those of nested graphs and functions."""
     external_data: bool
-    """Whether any tensor says that its content lies outside the file."""
+    """True if any tensor keeps its content outside the file."""
 
 
 def summarise(data: bytes, name: str) -> OnnxSummary:
-    """Walk a serialised ModelProto.
+    """List the operators of a serialised ModelProto and look for external tensor data.
 
     Args:
         data: content of the file.
-        name: of the file, for messages.
+        name: name of the file, for messages.
 
     Raises:
         BundleFormatError: the bytes are no ONNX model.
     """
-    found = _Found()
+    findings = _Findings()
     try:
-        _walk(_MODEL, data, 0, len(data), found, 0)
+        _walk(_MODEL, data, 0, len(data), findings, 0)
     except _MalformedError as error:
         raise BundleFormatError(f"{name} is not an ONNX model: {error}") from None
-    if not found.operators:
+    if not findings.operators:
         raise BundleFormatError(f"{name} is not an ONNX model: it has no operators")
-    return OnnxSummary(tuple(sorted(found.operators)), found.external)
+    return OnnxSummary(tuple(sorted(findings.operators)), findings.external)
 
 
 def check_self_contained(data: bytes, name: str) -> None:
     """Refuse a model that is not one self-contained ONNX file.
 
-    With a model from bytes, onnxruntime would look for external tensors in the current folder, and for one
-    special location at a memory address.
+    For a model loaded from bytes, onnxruntime would search the current folder for external tensors, and take one
+    special location for a memory address.
 
     Raises:
         BundleFormatError: external tensor data, onnxruntime's own ORT format, or no ONNX model.
@@ -67,23 +71,23 @@ def check_self_contained(data: bytes, name: str) -> None:
 
 
 class _MalformedError(Exception):
-    pass
+    """The bytes are not valid protobuf."""
 
 
-_Visitor = Callable[[bytes, int, int, "_Found", int], None]
+_Visitor = Callable[[bytes, int, int, "_Findings", int], None]
 
 
-def _walk(message: Mapping[int, _Visitor], data: bytes, start: int, end: int, found: _Found, depth: int) -> None:
+def _walk(message: Mapping[int, _Visitor], data: bytes, start: int, end: int, findings: _Findings, depth: int) -> None:
     if depth > _MAX_DEPTH:
         raise _MalformedError(f"nested deeper than {_MAX_DEPTH}")
     for number, wire, begin, stop in _fields(data, start, end):
         visit = message.get(number)
         if visit is not None and wire == _BYTES:
-            visit(data, begin, stop, found, depth + 1)
+            visit(data, begin, stop, findings, depth + 1)
 
 
 def _fields(data: bytes, start: int, end: int) -> Iterator[tuple[int, int, int, int]]:
-    """Number, wire type, first byte and end of each field's content."""
+    """Yield number, wire type, first byte and end of the content of each field."""
     position = start
     while position < end:
         key, position = _varint(data, position, end)
@@ -116,7 +120,7 @@ def _varint(data: bytes, position: int, end: int) -> tuple[int, int]:
     raise _MalformedError("a number longer than 64 bits")
 
 
-def _node(data: bytes, start: int, end: int, found: _Found, depth: int) -> None:
+def _node(data: bytes, start: int, end: int, findings: _Findings, depth: int) -> None:
     operator = domain = b""
     for number, wire, begin, stop in _fields(data, start, end):
         if wire != _BYTES:
@@ -126,23 +130,23 @@ def _node(data: bytes, start: int, end: int, found: _Found, depth: int) -> None:
         elif number == 7:
             domain = data[begin:stop]
         elif number == 5:
-            _walk(_ATTRIBUTE, data, begin, stop, found, depth + 1)
+            _walk(_ATTRIBUTE, data, begin, stop, findings, depth + 1)
     try:
-        found.operators.add(f"{domain.decode() or DEFAULT_DOMAIN}::{operator.decode()}")
+        findings.operators.add(f"{domain.decode() or DEFAULT_DOMAIN}::{operator.decode()}")
     except UnicodeDecodeError as error:
         raise _MalformedError("an operator's name is not text") from error
 
 
-def _tensor(data: bytes, start: int, end: int, found: _Found, depth: int) -> None:
+def _tensor(data: bytes, start: int, end: int, findings: _Findings, depth: int) -> None:
     for number, wire, begin, stop in _fields(data, start, end):
         location = number == 14 and wire == _VARINT and _varint(data, begin, stop)[0] != 0
         if location or number == 13:
-            found.external = True
+            findings.external = True
 
 
 def _message(table: Mapping[int, _Visitor]) -> _Visitor:
-    def visit(data: bytes, start: int, end: int, found: _Found, depth: int) -> None:
-        _walk(table, data, start, end, found, depth)
+    def visit(data: bytes, start: int, end: int, findings: _Findings, depth: int) -> None:
+        _walk(table, data, start, end, findings, depth)
 
     return visit
 

@@ -1,4 +1,4 @@
-"""Reading a bundle: a folder of `manifest.json` and the files it lists, each read once and hashed."""
+"""Read a bundle: a folder with `manifest.json` and the files that it lists, each read once and hashed."""
 
 from __future__ import annotations
 
@@ -20,16 +20,16 @@ from kinegraph.errors import BundleError, BundleFormatError, BundleIntegrityErro
 MANIFEST: Final = "manifest.json"
 
 DEFAULT_BUNDLE: Final = Path(__file__).parents[1] / "bundles" / "default"
-"""The bundle that comes with the package."""
+"""Bundle that is installed with the package."""
 
 MAX_MANIFEST_BYTES: Final = 1 << 20
 MAX_FILE_BYTES: Final = 1 << 30
-"""Below the 2 GiB of protobuf; the largest text encoder we know of takes half of it."""
+"""Below the 2 GiB limit of protobuf; the largest known text encoder takes half of it."""
 MAX_BUNDLE_BYTES: Final = 1 << 31
 
 _OPEN_FLAGS: Final = (
     os.O_RDONLY
-    # Windows has neither links one follows by accident nor FIFOs in folders, and no such flags.
+    # Windows lacks these flags; it has neither FIFOs in folders nor links that one follows by accident.
     | getattr(os, "O_NOFOLLOW", 0)
     | getattr(os, "O_NONBLOCK", 0)  # opening a FIFO must not wait for its writer
     | getattr(os, "O_CLOEXEC", 0)
@@ -39,18 +39,17 @@ _OPEN_FLAGS: Final = (
 
 @dataclass(frozen=True)
 class Bundle:
-    """A bundle in memory, every byte checked. Let go of it once the sessions are made: it holds the files."""
+    """A bundle in memory, every byte checked. It holds all files: drop it once the sessions are open."""
 
     path: Path
     manifest: Manifest
     files: Mapping[str, bytes]
-    """Content of each listed file by name, all but the graphs of `contract.OPTIONAL_GRAPHS`."""
+    """File name -> content, without the graphs of `contract.OPTIONAL_GRAPHS`."""
     tables: Mapping[str, FloatArray]
-    """What the run measured on its clips, as far as the bundle has it (`tables.table_shapes`), read-only: `duration`
-    (1, D + 3), what a clip's length is read off, and `bone_lengths` (1, 21) in metres."""
+    """Arrays of `tables.npz` that the bundle has (`tables.table_shapes`), read-only."""
 
-    def optional(self, name: str) -> bytes:
-        """Content of an optional graph's file, read and checked now: who never uses it does not pay for it.
+    def read_optional(self, name: str) -> bytes:
+        """Read and check the file of an optional graph now; who never uses it does not pay for it.
 
         Raises:
             BundleFormatError, BundleIntegrityError: as in `read_bundle`.
@@ -61,12 +60,12 @@ class Bundle:
 
 
 def read_bundle(path: Path | None = None) -> Bundle:
-    """Read a bundle and check that it is complete and unaltered; no session is made.
+    """Read a bundle and check that it is complete and unaltered, without opening a session.
 
-    Optional graphs only have to be there: they are read where they are used (`Bundle.optional`).
+    Optional graphs only have to exist: they are read at their first use (`Bundle.read_optional`).
 
     Args:
-        path: folder of the bundle; None is the one that comes with the package.
+        path: folder of the bundle; None takes the default bundle.
 
     Raises:
         BundleError: there is no such folder, or it cannot be read.
@@ -94,7 +93,7 @@ def _folder(path: Path | None) -> Path:
             "this installation carries no default bundle; install kinegraph again, or name a bundle's folder"
         )
     try:
-        # Links on the way to the folder are the caller's own business; inside of it there are none.
+        # Links on the path to the folder are the caller's choice; inside the folder none are allowed.
         folder = Path(DEFAULT_BUNDLE if path is None else path).resolve(strict=True)
     except (OSError, ValueError, RuntimeError) as error:  # ValueError: NUL; RuntimeError: a loop of links
         raise BundleError(f"no bundle at {str(path)!r}: {error}") from error
@@ -107,13 +106,13 @@ def _check_listing(folder: Path, manifest: Manifest) -> None:
     try:
         with os.scandir(folder) as entries:
             # Names are compared exactly, so "Decoder.onnx" is an extra file on case-blind disks too.
-            found = {entry.name for entry in entries}
+            present = {entry.name for entry in entries}
     except OSError as error:
         raise BundleError(f"cannot list the bundle {str(folder)!r}: {error}") from error
     listed = {MANIFEST, *manifest.files}
-    for name in sorted(listed - found):
+    for name in sorted(listed - present):
         raise BundleIntegrityError(f"{name} is missing from the bundle {str(folder)!r}; fetch the bundle again")
-    for name in sorted(found - listed):
+    for name in sorted(present - listed):
         raise BundleIntegrityError(f"{name!r} in the bundle {str(folder)!r} is not listed in its {MANIFEST}; remove it")
 
 
@@ -136,14 +135,14 @@ def _read_listed(folder: Path, name: str, entry: FileSpec) -> bytes:
 
 
 def _read(folder: Path, name: str, most: int) -> bytes:
-    """Content of a regular file of at most `most` bytes, opened without following a link.
+    """Read a regular file of at most `most` bytes, without following a link.
 
-    Hard links are accepted on purpose: uv, Nix, OSTree and deduplicating stores install every file as one.
-    They redirect nothing, and their content must still have the listed SHA-256: nothing foreign gets in.
+    Hard links are accepted on purpose: uv, Nix, OSTree and deduplicating stores install every file as one. They
+    redirect nothing, and their content must still have the listed SHA-256.
     """
     path = folder / name
     try:
-        # O_NOFOLLOW says so race-free where it exists; this says it in words, and on Windows.
+        # O_NOFOLLOW refuses links without a race where it exists. This test adds a clear message, and covers Windows.
         if path.is_symlink():
             raise BundleIntegrityError(f"{name} is a link; the files of a bundle must be regular files")
         descriptor = os.open(path, _OPEN_FLAGS)

@@ -1,4 +1,4 @@
-"""The onnxruntime sessions of a bundle: made once, shared by all threads, checked against the contract."""
+"""onnxruntime sessions of a bundle: opened once, checked against the contract, shared by all threads."""
 
 from __future__ import annotations
 
@@ -12,7 +12,14 @@ from typing import Final
 import onnxruntime
 from onnxruntime.capi import onnxruntime_pybind11_state as _state
 
-from kinegraph.bundle.contract import AGD_CONTEXTS, AGD_STEPS, COARSE_DECODERS, LEVELS, GraphContract, check
+from kinegraph.bundle.contract import (
+    AGD_CONTEXTS,
+    AGD_DENOISERS,
+    COARSE_DECODERS,
+    LEVELS,
+    GraphContract,
+    check_signature,
+)
 from kinegraph.bundle.reader import Bundle
 from kinegraph.errors import BundleError, InvalidInputError
 
@@ -23,74 +30,83 @@ ORT_ERRORS: Final[tuple[type[Exception], ...]] = (
     RuntimeError,
     ValueError,
 )
-"""What onnxruntime raises; its own classes share no base but `Exception`."""
+"""Exceptions that onnxruntime raises; its own classes share no base but `Exception`."""
 
-# onnxruntime's SkipLayerNormalization is slower than Add + LayerNormalization at these sizes, the more so
-# after quantising, because the matrix product before it can then take its bias in.
+# onnxruntime's SkipLayerNormalization is slower than Add + LayerNormalization at these sizes. The gap grows after
+# quantising, because without it the matrix product before it can absorb the bias.
 DISABLED_OPTIMIZERS: Final = ["SkipLayerNormFusion"]
 
 _ERRORS_ONLY: Final = 3
 
 
-class Deferred:
-    """A session that is made at its first use, once, whichever thread asks first."""
+class LazySession:
+    """Session that is opened once, at its first use, by whichever thread asks first."""
 
-    def __init__(self, make: Callable[[], onnxruntime.InferenceSession]) -> None:
-        self._make = make
+    def __init__(self, open_now: Callable[[], onnxruntime.InferenceSession]) -> None:
+        self._open_now = open_now
         self._lock = threading.Lock()
         self._session: onnxruntime.InferenceSession | None = None
 
     def __call__(self) -> onnxruntime.InferenceSession:
         with self._lock:
             if self._session is None:
-                self._session = self._make()
+                self._session = self._open_now()
             return self._session
 
 
 @dataclass(frozen=True)
 class Sessions:
-    """One session per graph; `run` on each of them may be called from any number of threads."""
+    """One session per graph; any number of threads may call `run` on them.
+
+    The names are those of the graphs in `kinegraph.bundle.contract`.
+    """
 
     text_encoder: onnxruntime.InferenceSession
     graph_encoder: onnxruntime.InferenceSession
     context: Mapping[str, onnxruntime.InferenceSession]
-    """By level."""
+    """Level -> context encoder."""
     clock: Mapping[str, onnxruntime.InferenceSession]
-    """By level."""
+    """Level -> AdaLN modulation."""
     step: Mapping[str, onnxruntime.InferenceSession]
-    """By level."""
+    """Level -> denoiser."""
     decoder: onnxruntime.InferenceSession
-    coarse_decoders: Mapping[str, Deferred]
-    """By level, as far as the bundle has them; so are the next two."""
-    context_agd: Mapping[str, Deferred]
-    step_agd: Mapping[str, Deferred]
+    """Decoder of the finest level."""
+    coarse_decoders: Mapping[str, LazySession]
+    """Level -> decoder; only levels for which the bundle has one."""
+    context_agd: Mapping[str, LazySession]
+    """Level -> context encoder for adaptive gradient descent; empty if the bundle has none."""
+    step_agd: Mapping[str, LazySession]
+    """Level -> denoiser with adaptive gradient descent; empty if the bundle has none."""
 
     @property
-    def deferred(self) -> tuple[Deferred, ...]:
-        """All that are made at their first use."""
+    def lazy(self) -> tuple[LazySession, ...]:
+        """All sessions that are opened at their first use."""
         return (*self.coarse_decoders.values(), *self.context_agd.values(), *self.step_agd.values())
 
     def decoder_of(self, level: str) -> onnxruntime.InferenceSession:
-        """The decoder of a level that has one."""
+        """Return the decoder of a level; the bundle must have one."""
         coarse = self.coarse_decoders.get(level)
         return self.decoder if coarse is None else coarse()
 
 
 def available_cpus() -> int:
-    """CPUs this process may run on."""
+    """Count the CPUs that this process may run on."""
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
 
 
 def session_options(threads: int, *, spinning: bool = True) -> onnxruntime.SessionOptions:
-    """Options of one session with a pool of `threads` that waits for work while it runs and sleeps between runs; one
-    that is not `spinning` sleeps between operators too.
+    """Set the options of one session: its thread pool spins while a run lasts and sleeps between runs.
 
-    By default onnxruntime's idle pools spin between runs too; with a session per graph they take the cores from the
-    busy one (measured: three times slower on two cores, and half a core burnt between requests). Pools that never
-    spin are woken for every operator: a sample at the published size takes 38 ms in place of 28. Beside busy
-    neighbours it is they who lose least.
+    By default onnxruntime's idle pools spin between runs too. With one session per graph they take the cores from the
+    busy one (measured: three times slower on two cores, and half a core used between requests). Pools that never spin
+    are woken for every operator: one sample at the published size takes 38 ms instead of 28 ms. Under load,
+    non-spinning pools degrade least.
+
+    Args:
+        threads: size of the pool.
+        spinning: False makes the pool sleep between operators too.
     """
     options = onnxruntime.SessionOptions()
     options.intra_op_num_threads = threads
@@ -110,18 +126,17 @@ def open_sessions(
     options: onnxruntime.SessionOptions | None = None,
     files: MutableMapping[str, bytes] | None = None,
 ) -> Sessions:
-    """Make the sessions of a bundle.
+    """Open the sessions of a bundle.
 
     Args:
         bundle: read and checked by `read_bundle`.
-        threads: threads of every session. None: two at most that never spin, and one for the step sessions, which are
-            too small to gain much from a second one and hold up better on a busy machine.
-        options: the host's own options, used as they are for every session; not together with `threads`.
-        files: content in place of `bundle.files`; each graph is taken out when its session is made, because both at
-            once are twice the memory.
+        threads: threads of every session. None takes at most two that never spin, and one for the denoisers: these are
+            too small to gain much from a second thread, and with one they degrade less on a busy machine.
+        options: the caller's own options, used unchanged for every session; excludes `threads`.
+        files: content to use instead of `bundle.files`; each graph is removed once its session is open, to save memory.
 
     Raises:
-        InvalidInputError: `threads` is not 1 to 256, or given together with `options`.
+        InvalidInputError: `threads` is not 1 to 256, or used together with `options`.
         BundleError: onnxruntime refuses a graph.
         BundleFormatError: a graph's inputs or outputs differ from the contract.
     """
@@ -131,38 +146,38 @@ def open_sessions(
     narrow = options or session_options(_thread_count(threads, 1))
     contracts = bundle.manifest.contracts
 
-    def make(graph: str, settings: onnxruntime.SessionOptions) -> onnxruntime.InferenceSession:
+    def open_graph(graph: str, settings: onnxruntime.SessionOptions) -> onnxruntime.InferenceSession:
         contract = contracts[graph]
         data = bundle.files[contract.file] if files is None else files.pop(contract.file)
         return open_session(data, contract, settings)
 
-    def deferred(graphs: Mapping[str, str], settings: onnxruntime.SessionOptions) -> Mapping[str, Deferred]:
-        def at_first_use(contract: GraphContract) -> Deferred:
-            return Deferred(lambda: open_session(bundle.optional(contract.file), contract, settings))
+    def lazy(graphs: Mapping[str, str], settings: onnxruntime.SessionOptions) -> Mapping[str, LazySession]:
+        def at_first_use(contract: GraphContract) -> LazySession:
+            return LazySession(lambda: open_session(bundle.read_optional(contract.file), contract, settings))
 
         present = {level: contracts[graph] for level, graph in graphs.items() if graph in contracts}
         return MappingProxyType({level: at_first_use(contract) for level, contract in present.items()})
 
     return Sessions(
-        text_encoder=make("text_encoder", wide),
-        graph_encoder=make("graph_encoder", wide),
-        context=MappingProxyType({level: make(f"context_{level}", wide) for level in LEVELS}),
-        clock=MappingProxyType({level: make(f"clock_{level}", narrow) for level in LEVELS}),
-        step=MappingProxyType({level: make(f"step_{level}", narrow) for level in LEVELS}),
-        decoder=make("decoder", wide),
-        coarse_decoders=deferred(COARSE_DECODERS, wide),
-        context_agd=deferred(AGD_CONTEXTS, wide),
-        step_agd=deferred(AGD_STEPS, narrow),
+        text_encoder=open_graph("text_encoder", wide),
+        graph_encoder=open_graph("graph_encoder", wide),
+        context=MappingProxyType({level: open_graph(f"context_{level}", wide) for level in LEVELS}),
+        clock=MappingProxyType({level: open_graph(f"clock_{level}", narrow) for level in LEVELS}),
+        step=MappingProxyType({level: open_graph(f"step_{level}", narrow) for level in LEVELS}),
+        decoder=open_graph("decoder", wide),
+        coarse_decoders=lazy(COARSE_DECODERS, wide),
+        context_agd=lazy(AGD_CONTEXTS, wide),
+        step_agd=lazy(AGD_DENOISERS, narrow),
     )
 
 
 def open_session(
     data: bytes, contract: GraphContract, options: onnxruntime.SessionOptions
 ) -> onnxruntime.InferenceSession:
-    """Make one session from the bytes of a graph and check it against its contract.
+    """Open one session from the bytes of a graph and check it against its contract.
 
     Raises:
-        BundleError: onnxruntime refuses the graph; the message names it.
+        BundleError: onnxruntime refuses the graph; the message names its file.
         BundleFormatError: inputs or outputs differ from the contract.
     """
     try:
@@ -176,7 +191,7 @@ def open_session(
         raise BundleError(f"onnxruntime {onnxruntime.__version__} cannot load {contract.file}: {error}") from error
     # onnxruntime keeps the file for switching providers, which nobody does here; without it 40 MB go.
     session._model_bytes = None
-    check(session.get_inputs(), session.get_outputs(), contract)
+    check_signature(session.get_inputs(), session.get_outputs(), contract)
     return session
 
 

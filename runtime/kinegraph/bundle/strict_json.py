@@ -1,4 +1,4 @@
-"""JSON to frozen dataclasses, strictly: the type hints are the schema, and everything else is an error."""
+"""Strict decoding of JSON into frozen dataclasses: the type hints are the schema, any deviation is an error."""
 
 from __future__ import annotations
 
@@ -17,26 +17,27 @@ T = TypeVar("T")
 def parse_object(data: bytes, where: str) -> dict[str, Any]:
     """Parse one JSON object; repeated keys, NaN and infinity are errors.
 
+    Args:
+        data: UTF-8 text.
+        where: name of the source, for messages.
+
     Raises:
-        BundleFormatError: naming `where`.
+        BundleFormatError: the bytes are not such an object.
     """
 
     def refuse_constant(token: str) -> NoReturn:
         raise BundleFormatError(f"{where}: {token} is not a number")
 
     def refuse_repeats(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-        found = dict(pairs)
-        if len(found) != len(pairs):
+        record = dict(pairs)
+        if len(record) != len(pairs):
             keys = [key for key, _ in pairs]
             raise BundleFormatError(f"{where}: repeated key {next(k for k in keys if keys.count(k) > 1)!r}")
-        return found
+        return record
 
     try:
         value = json.loads(data.decode("utf-8"), parse_constant=refuse_constant, object_pairs_hook=refuse_repeats)
-    except (
-        ValueError,
-        RecursionError,
-    ) as error:  # ValueError: JSON, UTF-8, and integers of thousands of digits
+    except (ValueError, RecursionError) as error:  # ValueError: JSON, UTF-8, and integers of thousands of digits
         raise BundleFormatError(f"{where} is not valid JSON: {error}") from error
     if not isinstance(value, dict):
         raise BundleFormatError(f"{where} must be a JSON object, found {_kind(value)}")
@@ -46,11 +47,16 @@ def parse_object(data: bytes, where: str) -> dict[str, Any]:
 def decode(kind: type[T], value: object, where: str) -> T:
     """Build a value of a type from parsed JSON.
 
-    Takes dataclasses, `tuple[X, ...]`, `Mapping[str, X]`, `Literal`, unions of scalars, str, int and float.
-    An int is a float too, a bool is neither; numbers must be finite and strings printable.
+    Supported are dataclasses, `tuple[X, ...]`, `Mapping[str, X]`, `Literal`, unions of scalars, str, int and float.
+    An int is also a float, a bool is neither. Numbers must be finite and strings printable.
+
+    Args:
+        kind: the type.
+        value: from `parse_object`, or a part of it.
+        where: path of the value, for messages.
 
     Raises:
-        BundleFormatError: naming the path of the offending key.
+        BundleFormatError: the value does not fit; the message names the path of its key.
     """
     return cast("T", _decode(kind, value, where))
 
@@ -123,12 +129,12 @@ def _kind(value: object) -> str:
     return "null" if value is None else f"{type(value).__name__} {str(value)[:40]!r}"
 
 
-def plain(value: object) -> Any:
-    """The reverse of `decode`: dataclasses, tuples and mappings as JSON's dicts and lists."""
+def to_plain(value: object) -> Any:
+    """Convert dataclasses, tuples and mappings to the dicts and lists of JSON: the reverse of `decode`."""
     if dataclasses.is_dataclass(value):
-        return {field.name: plain(getattr(value, field.name)) for field in dataclasses.fields(value)}
+        return {field.name: to_plain(getattr(value, field.name)) for field in dataclasses.fields(value)}
     if isinstance(value, Mapping):
-        return {key: plain(item) for key, item in value.items()}
+        return {key: to_plain(item) for key, item in value.items()}
     if isinstance(value, tuple):
-        return [plain(item) for item in value]
+        return [to_plain(item) for item in value]
     return value

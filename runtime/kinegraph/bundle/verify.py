@@ -1,4 +1,4 @@
-"""The thorough check behind `kinegraph verify`: all that loading checks, operators and sessions on top."""
+"""Full check of a bundle for `kinegraph verify`: everything that loading checks, then operators and sessions."""
 
 from __future__ import annotations
 
@@ -15,31 +15,31 @@ from kinegraph.errors import BundleFormatError
 
 @dataclass(frozen=True)
 class VerifyReport:
-    """What was found right; anything wrong is an exception."""
+    """Facts that were checked and hold; anything wrong is an exception."""
 
     path: Path
     name: str
     version: str
     files: Mapping[str, int]
-    """Bytes of each file whose size and SHA-256 agree with the manifest."""
+    """File name -> bytes; size and SHA-256 agree with the manifest."""
     operators: Mapping[str, int]
-    """Number of different operators of each graph, all of them on the manifest's list."""
+    """Graph file -> number of different operators; they equal those that the manifest lists."""
     sessions: tuple[str, ...]
-    """Graphs that onnxruntime loads and whose inputs and outputs keep the contract."""
+    """Graphs that onnxruntime loads, with inputs and outputs as in the contract."""
 
 
 def verify_bundle(path: Path | None = None) -> VerifyReport:
     """Check a bundle without running it.
 
     Args:
-        path: folder of the bundle; None is the one that comes with the package.
+        path: folder of the bundle; None takes the default bundle.
 
     Raises:
-        BundleError: the first thing that is wrong, naming the file.
+        BundleError: the first violation; the message names the file.
     """
     bundle = read_bundle(path)
     operators = {name: _check_operators(bundle, name) for name in bundle.manifest.operators}
-    for session in open_sessions(bundle, threads=1).deferred:
+    for session in open_sessions(bundle, threads=1).lazy:
         session()
     manifest = bundle.manifest
     return VerifyReport(
@@ -53,7 +53,7 @@ def verify_bundle(path: Path | None = None) -> VerifyReport:
 
 
 def _check_operators(bundle: Bundle, name: str) -> int:
-    data = bundle.optional(name) if name in OPTIONAL_GRAPH_FILES else bundle.files[name]
+    data = bundle.read_optional(name) if name in OPTIONAL_GRAPH_FILES else bundle.files[name]
     summary = summarise(data, name)
     if summary.external_data:
         raise BundleFormatError(f"{name} keeps tensors in another file; export it with all data inside")

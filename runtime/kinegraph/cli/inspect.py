@@ -58,12 +58,12 @@ def info(options: argparse.Namespace) -> int:
 
 
 def verify(options: argparse.Namespace) -> int:
-    from kinegraph.bundle.strict_json import plain
+    from kinegraph.bundle.strict_json import to_plain
     from kinegraph.bundle.verify import verify_bundle
 
     report = verify_bundle(options.bundle)
     if options.json:
-        print(as_json({**plain(report), "path": str(report.path)}))
+        print(as_json({**to_plain(report), "path": str(report.path)}))
     else:
         print(verify_text(report))
     return 0
@@ -71,7 +71,7 @@ def verify(options: argparse.Namespace) -> int:
 
 def run_bench(options: argparse.Namespace) -> int:
     from kinegraph.bench import bench, table
-    from kinegraph.bundle.strict_json import plain
+    from kinegraph.bundle.strict_json import to_plain
     from kinegraph.files import check_target, write_atomically
 
     if options.repeats < 1:
@@ -80,16 +80,16 @@ def run_bench(options: argparse.Namespace) -> int:
         check_target(options.json, True, (".json",))
     report = bench(options.bundle, seconds=options.seconds, repeats=options.repeats, threads=options.threads)
     if options.json is not None:
-        write_atomically(options.json, (as_json(plain(report), pretty=True) + "\n").encode())
+        write_atomically(options.json, (as_json(to_plain(report), pretty=True) + "\n").encode())
     print(table(report))
     return 0
 
 
 def info_record(bundle: Bundle) -> dict[str, Any]:
     """What `info` tells, as plain values."""
-    from kinegraph.bundle.strict_json import plain
+    from kinegraph.bundle.strict_json import to_plain
 
-    manifest = plain(bundle.manifest)
+    manifest = to_plain(bundle.manifest)
     features = manifest["features"]
     return {
         "name": manifest["name"],

@@ -14,11 +14,11 @@ from starlette.requests import Request
 from starlette.responses import JSONResponse, Response, StreamingResponse
 from starlette.routing import Route
 
-from kinegraph.bundle.contract import AGD_STEPS
+from kinegraph.bundle.contract import AGD_DENOISERS
 from kinegraph.concepts import DEFAULT_LAMBDAS
 from kinegraph.errors import InvalidInputError, KinegraphError
 from kinegraph.formats import NAMED, encode
-from kinegraph.formats.html import document, policy
+from kinegraph.formats.html import content_security_policy, render_page
 from kinegraph.graph import ARGUMENT_ROLES
 from kinegraph.pipeline import MotionPipeline
 from kinegraph.playground.fair_queue import FairQueue, TooBusyError
@@ -47,7 +47,7 @@ class Playground:
         self._pipeline = pipeline
         self._clips, self._parses = FairQueue(), FairQueue()
         self._made: set[asyncio.Task[None]] = set()
-        self._page = document("kinegraph", {"play": _facts(pipeline)}, CONNECT)
+        self._page = render_page("kinegraph", {"play": _facts(pipeline)}, CONNECT)
 
     def stop(self) -> None:
         """End what is being made, at the end of the server."""
@@ -55,7 +55,7 @@ class Playground:
             task.cancel()
 
     async def page(self, request: Request) -> Response:
-        own = {"Content-Security-Policy": f"{policy(CONNECT)}; frame-ancestors 'none'"}
+        own = {"Content-Security-Policy": f"{content_security_policy(CONNECT)}; frame-ancestors 'none'"}
         return Response(self._page, media_type="text/html; charset=utf-8", headers=own)
 
     async def parse(self, request: Request) -> Response:
@@ -148,7 +148,7 @@ def _facts(pipeline: MotionPipeline) -> dict[str, Any]:
         "steps": dict(manifest.defaults.steps),
         "guidance": dict(manifest.defaults.guidance),
         "lambdas": DEFAULT_LAMBDAS,
-        "agd": manifest.contracts.keys() >= set(AGD_STEPS.values()),
+        "agd": manifest.contracts.keys() >= set(AGD_DENOISERS.values()),
         "roles": list(ARGUMENT_ROLES),
         "files": list(FILES),
         "named": sorted(NAMED),

@@ -1,4 +1,4 @@
-"""The protobuf walk against models written field by field, and against the onnx package if installed."""
+"""ONNX inspection compared with models written field by field, and with the onnx package if installed."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ CONTRACTS = contracts(LEVEL_SPECS, 12, 137)
 
 
 def subgraph(name: str, *nodes: bytes) -> bytes:
-    """A graph attribute."""
+    """Encode a graph attribute."""
     body = b"".join(field(1, item) for item in nodes)
     return field(5, field(1, name) + field(6, body) + field(20, 5))
 
