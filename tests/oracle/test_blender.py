@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import shutil
 import subprocess
 from collections.abc import Callable
 from pathlib import Path
@@ -13,14 +12,14 @@ import pytest
 
 from kinegraph.clip import Clip
 from support.motions import recorded, walk
-from support.readers import GlbReader, blender, bvh_joints
+from support.readers import GlbReader, blender, blender_problem, bvh_joints
 
 ROOT = Path(__file__).resolve().parents[2]
 MEAN_MM, MAX_MM = 5.0, 15.0
 
 
 def saved(folder: Path, joints: np.ndarray) -> dict[str, Path]:
-    """A clip as .npz, .glb and .bvh."""
+    """Save a clip as .npz, .glb and .bvh."""
     clip = Clip(joints=joints, fps=20.0, seed=1, text="a person walks", bundle="none")
     files = {suffix: folder / f"walk{suffix}" for suffix in (".npz", ".glb", ".bvh")}
     for file in files.values():
@@ -70,8 +69,8 @@ def test_blender_is_the_third(tmp_path: Path, kind: str, figure: Callable[[str],
 
 
 def test_the_fbx_of_the_readme_comes_back_with_its_motion_and_its_body(tmp_path: Path) -> None:
-    if shutil.which("blender") is None:
-        pytest.skip("needs the program blender: apt-get install blender python3-numpy")
+    if blender_problem():
+        pytest.skip(blender_problem())
     files = saved(tmp_path, walk(50, turning=0.05))
     readme = (ROOT / "README.md").read_text(encoding="utf-8")
     (command,) = re.findall(r"<!-- fbx -->\n```sh\n(.*?)```", readme, flags=re.DOTALL)

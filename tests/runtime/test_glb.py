@@ -52,7 +52,7 @@ def test_the_skin_leaves_the_rest_pose_as_it_is_and_carries_the_body_along(tmp_p
     inverse = reader.array(reader.file.skins[0].inverseBindMatrices).reshape(-1, 4, 4).transpose(0, 2, 1)
     homogeneous = np.column_stack([positions, np.ones(len(positions))])
     for frame in (None, 20):
-        world = reader.places(frame)
+        world = reader.world_transforms(frame)
         bound = np.stack([world[node] for node in reader.file.skins[0].joints]) @ inverse
         skinned = np.einsum("nij,nj->ni", bound[carried[:, 0]], homogeneous)[:, :3]
         assert abs(skinned[:, 1].min()) < 0.06 and 1.4 < skinned[:, 1].max() < 2.1

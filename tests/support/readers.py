@@ -1,4 +1,4 @@
-"""Programs that are not ours, reading files that are: pygltflib, pybvh and Blender. Tests are skipped without them."""
+"""Files of kinegraph as other programs read them: pygltflib, pybvh and Blender. Tests are skipped without them."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ import json
 import shutil
 import subprocess
 import sys
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -21,23 +22,23 @@ IN_BLENDER = Path(__file__).resolve().parents[1] / "oracle" / "blender_joints.py
 
 
 def matrix(translation: np.ndarray, rotation: np.ndarray) -> np.ndarray:
-    """Of a node, from its x, y, z, w quaternion, by the textbook formula."""
+    """Build the (4, 4) transform of a node from its x, y, z, w quaternion by the textbook formula."""
     x, y, z, w = (float(value) for value in rotation)
-    found = np.eye(4)
-    found[:3, :3] = [
+    transform = np.eye(4)
+    transform[:3, :3] = [
         [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
         [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
         [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
     ]
-    found[:3, 3] = translation
-    return found
+    transform[:3, 3] = translation
+    return transform
 
 
 class GlbReader:
     """A GLB as pygltflib sees it, played by the rules of the glTF specification."""
 
     def __init__(self, data: bytes, folder: Path) -> None:
-        pygltflib = pytest.importorskip("pygltflib")
+        pygltflib = pytest.importorskip("pygltflib", reason="needs the extra oracle")
         (folder / "clip.glb").write_bytes(data)
         self.file = pygltflib.GLTF2().load(str(folder / "clip.glb"))
         self._blob = self.file.binary_blob()
@@ -49,51 +50,63 @@ class GlbReader:
         dtype = DTYPES[accessor.componentType]
         return np.frombuffer(self._blob, dtype, accessor.count * width, view.byteOffset).reshape(accessor.count, width)
 
-    def places(self, frame: int | None) -> dict[int, np.ndarray]:
-        """World matrix of every node at a key, or at rest."""
+    def world_transforms(self, frame: int | None) -> dict[int, np.ndarray]:
+        """Compute the world matrix of every node at a key, or at rest."""
         tracks: dict[tuple[int, str], np.ndarray] = {}
         for channel in self.file.animations[0].channels:
             sampler = self.file.animations[0].samplers[channel.sampler]
             tracks[channel.target.node, channel.target.path] = self.array(sampler.output)
-        found: dict[int, np.ndarray] = {}
+        world: dict[int, np.ndarray] = {}
 
-        def visit(number: int, above: np.ndarray) -> None:
+        def visit(number: int, parent: np.ndarray) -> None:
             node = self.file.nodes[number]
-            own = {"translation": node.translation or [0, 0, 0], "rotation": node.rotation or [0, 0, 0, 1]}
-            for path in own:
+            local = {"translation": node.translation or [0, 0, 0], "rotation": node.rotation or [0, 0, 0, 1]}
+            for path in local:
                 if frame is not None and (number, path) in tracks:
-                    own[path] = tracks[number, path][frame]
-            found[number] = above @ matrix(own["translation"], own["rotation"])
+                    local[path] = tracks[number, path][frame]
+            world[number] = parent @ matrix(local["translation"], local["rotation"])
             for child in node.children or []:
-                visit(child, found[number])
+                visit(child, world[number])
 
         for root in self.file.scenes[0].nodes:
             visit(root, np.eye(4))
-        return found
+        return world
 
     def joints(self, frame: int) -> np.ndarray:
-        """(22, 3) metres: where the joints of the skin are at a key."""
-        world = self.places(frame)
+        """Locate the joints of the skin at a key: (22, 3) metres."""
+        world = self.world_transforms(frame)
         return np.stack([world[node][:3, 3] for node in self.file.skins[0].joints])
 
 
 def bvh_joints(path: Path) -> tuple[np.ndarray, float]:
-    """(frames, 22, 3) metres and the frame rate, as pybvh reads them."""
-    found = pytest.importorskip("pybvh").read_bvh_file(str(path))
-    order = [list(found.joint_names).index(name) for name in JOINT_NAMES]
-    return np.asarray(found.joint_positions())[:, order] / 100.0, float(found.fps)
+    """Read joints (frames, 22, 3) in metres and the frame rate with pybvh."""
+    motion = pytest.importorskip("pybvh", reason="needs the extra oracle").read_bvh_file(str(path))
+    order = [list(motion.joint_names).index(name) for name in JOINT_NAMES]
+    return np.asarray(motion.joint_positions())[:, order] / 100.0, float(motion.fps)
+
+
+@cache
+def blender_problem() -> str:
+    """Say why the program blender cannot be used here; "" where it can."""
+    if shutil.which("blender") is None:
+        return "needs the program blender: apt-get install blender python3-numpy"
+    command = ["blender", "-b", "--python-exit-code", "1", "--python-expr", "import numpy"]
+    if subprocess.run(command, capture_output=True, timeout=200, check=False).returncode:
+        return "Blender's Python cannot import numpy: apt-get install python3-numpy"
+    return ""
 
 
 def blender(*files: Path) -> dict[str, Any]:
-    """What `blender_joints.py` finds of these files, the .npz first."""
-    if shutil.which("blender"):
+    """Run `blender_joints.py` in Blender on these files, the .npz first, and return its report."""
+    problem = blender_problem()
+    if not problem:
         command = ["blender", "-b", "--python-exit-code", "1", "--python", str(IN_BLENDER), "--"]
     elif importlib.util.find_spec("bpy"):
         command = [sys.executable, str(IN_BLENDER)]
     else:
-        pytest.skip("needs Blender: apt-get install blender python3-numpy, or pip install bpy")
-    done = subprocess.run([*command, *map(str, files)], capture_output=True, text=True, timeout=200, check=False)
-    assert done.returncode == 0, done.stdout[-2000:] + done.stderr[-2000:]
-    (line,) = (line for line in done.stdout.splitlines() if line.startswith("{"))
-    found: dict[str, Any] = json.loads(line)
-    return found
+        pytest.skip(f"{problem}; or pip install bpy")
+    process = subprocess.run([*command, *map(str, files)], capture_output=True, text=True, timeout=200, check=False)
+    assert process.returncode == 0, process.stdout[-2000:] + process.stderr[-2000:]
+    (line,) = (line for line in process.stdout.splitlines() if line.startswith("{"))
+    report: dict[str, Any] = json.loads(line)
+    return report
