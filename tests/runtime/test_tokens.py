@@ -15,7 +15,6 @@ from kinegraph.limits import MAX_PIECES, MAX_TEXT
 from kinegraph.text.tokenizer import CaptionTokenizer, span_mask
 
 FILE = Path(kinegraph.__file__).parent / "bundles" / "default" / "tokenizer.json"
-pytestmark = pytest.mark.skipif(not FILE.is_file(), reason="no default bundle")
 
 
 @pytest.fixture(scope="module")
@@ -25,34 +24,34 @@ def tokenizer() -> CaptionTokenizer:
 
 def test_ids_are_those_of_berts_uncased_vocabulary(tokenizer: CaptionTokenizer) -> None:
     # [CLS] a person walks [SEP], as published with the vocabulary
-    found = tokenizer.encode("A person walks")
-    assert found.ids.tolist() == [101, 1037, 2711, 7365, 102]
-    assert found.mask.tolist() == [1] * 5
-    assert found.offsets.tolist() == [[0, 0], [0, 1], [2, 8], [9, 14], [0, 0]]
-    assert found.ids.dtype == found.mask.dtype == found.offsets.dtype == np.int64
+    tokens = tokenizer.encode("A person walks")
+    assert tokens.ids.tolist() == [101, 1037, 2711, 7365, 102]
+    assert tokens.mask.tolist() == [1] * 5
+    assert tokens.offsets.tolist() == [[0, 0], [0, 1], [2, 8], [9, 14], [0, 0]]
+    assert tokens.ids.dtype == tokens.mask.dtype == tokens.offsets.dtype == np.int64
 
 
 def test_pieces_of_one_word_share_its_span(tokenizer: CaptionTokenizer) -> None:
     text = "someone moonwalks"
-    found = tokenizer.encode(text)
-    held = span_mask(found.offsets, 8, len(text))
-    assert held.sum() > 1, "the word is cut into pieces"
-    assert "".join(text[a:b] for a, b in found.offsets[held]) == "moonwalks"
+    tokens = tokenizer.encode(text)
+    mask = span_mask(tokens.offsets, 8, len(text))
+    assert mask.sum() > 1, "the word is cut into pieces"
+    assert "".join(text[start:end] for start, end in tokens.offsets[mask]) == "moonwalks"
 
 
-def test_a_span_holds_the_pieces_that_share_a_character_and_no_special_one(tokenizer: CaptionTokenizer) -> None:
-    found = tokenizer.encode("walks to the left")
-    assert span_mask(found.offsets, 9, 17).tolist() == [False, False, False, True, True, False]
-    assert span_mask(found.offsets, 10, 11).tolist() == [False, False, False, True, False, False]
-    assert not span_mask(found.offsets, 0, 0).any()
+def test_a_span_masks_the_pieces_that_share_a_character_and_no_special_one(tokenizer: CaptionTokenizer) -> None:
+    tokens = tokenizer.encode("walks to the left")
+    assert span_mask(tokens.offsets, 9, 17).tolist() == [False, False, False, True, True, False]
+    assert span_mask(tokens.offsets, 10, 11).tolist() == [False, False, False, True, False, False]
+    assert not span_mask(tokens.offsets, 0, 0).any()
 
 
 @given(st.text(alphabet=st.characters(exclude_categories=["Cs"]), min_size=1, max_size=80))
 def test_offsets_are_characters_of_any_text(tokenizer: CaptionTokenizer, text: str) -> None:
-    found = tokenizer.encode(text)
-    assert len(found.ids) == len(found.mask) == len(found.offsets) >= 2
-    assert (found.offsets >= 0).all() and (found.offsets <= len(text)).all()
-    starts = found.offsets[1:-1, 0]
+    tokens = tokenizer.encode(text)
+    assert len(tokens.ids) == len(tokens.mask) == len(tokens.offsets) >= 2
+    assert (tokens.offsets >= 0).all() and (tokens.offsets <= len(text)).all()
+    starts = tokens.offsets[1:-1, 0]
     assert (np.diff(starts) >= 0).all()
 
 
@@ -68,6 +67,6 @@ def test_half_a_surrogate_pair_is_refused(tokenizer: CaptionTokenizer) -> None:
 
 
 @pytest.mark.parametrize("wrong", [b"", b"{}", b"\xff\xfe", b'{"version": "1.0"}'])
-def test_a_file_that_is_no_tokenizer_is_refused(wrong: bytes) -> None:
+def test_bytes_without_a_tokenizer_are_refused(wrong: bytes) -> None:
     with pytest.raises(BundleFormatError):
         CaptionTokenizer(wrong)

@@ -1,4 +1,4 @@
-"""Training the linear model of arguments on gold graphs."""
+"""Training the argument classifier on gold graphs."""
 
 from __future__ import annotations
 
@@ -12,12 +12,11 @@ pytest.importorskip("spacy")
 
 from kinegraph.bundle.reader import DEFAULT_BUNDLE
 from kinegraph.errors import InvalidInputError
-from kinegraph.text.argument_classifier import provenance_of
+from kinegraph.text.argument_classifier import read_provenance
 from kinegraph.text.parser import GraphParser
-from kinegraph_training.train_parser import examples, read_gold, rule_examples, train
+from kinegraph_training.train_parser import gold_examples, read_gold, rule_examples, train
 
 GOLD = Path(__file__).parents[2] / "benchmarks" / "parser" / "hard_sentences_dev.jsonl"
-pytestmark = pytest.mark.skipif(not (DEFAULT_BUNDLE / "parser.bin").is_file(), reason="no default bundle")
 
 
 @pytest.fixture(scope="module")
@@ -36,37 +35,37 @@ def test_labels_are_the_roles_of_the_gold(pipeline: bytes) -> None:
             }
         ],
     }
-    found = examples(GraphParser(pipeline), [graph])
-    whole = [
-        (row, label) for row, label, share in zip(found.features, found.labels, found.shares, strict=True) if share == 1
-    ]
-    assert {label for row, label in whole if "*t:a person" in row} == {1}
-    assert {label for row, label in whole if "*t:slowly" in row} == {11}  # OTHERS, punctuation aside
-    assert {label for row, label in whole if "*t:person" in row} <= {0}
-    bare = [row for row, share in zip(found.features, found.shares, strict=True) if share < 1]
-    assert len(bare) == len(whole)
-    assert not any(name.startswith("*") for row in bare for name in row)
+    examples = gold_examples(GraphParser(pipeline), [graph])
+    rows = list(zip(examples.features, examples.labels, examples.sample_weights, strict=True))
+    lexicalised = [(names, label) for names, label, weight in rows if weight == 1]
+    assert {label for names, label in lexicalised if "*t:a person" in names} == {1}
+    assert {label for names, label in lexicalised if "*t:slowly" in names} == {11}  # OTHERS, punctuation aside
+    assert {label for names, label in lexicalised if "*t:person" in names} <= {0}
+    unlexicalised = [names for names, _, weight in rows if weight < 1]
+    assert len(unlexicalised) == len(lexicalised)
+    assert not any(name.startswith("*") for names in unlexicalised for name in names)
 
 
-def test_the_rules_label_what_nobody_annotated(pipeline: bytes) -> None:
-    found = rule_examples(GraphParser(pipeline), ["a person walks to the left"])
-    labels = {tuple(name for name in row if name.startswith("*t:")): label
-              for row, label in zip(found.features, found.labels, strict=True)}  # fmt: skip
+def test_the_rules_label_captions_without_annotation(pipeline: bytes) -> None:
+    examples = rule_examples(GraphParser(pipeline), ["a person walks to the left"])
+    labels = {tuple(name for name in names if name.startswith("*t:")): label
+              for names, label in zip(examples.features, examples.labels, strict=True)}  # fmt: skip
     assert labels[("*t:to the left",)] == 9  # ARGM-DIR
 
 
-def test_what_was_trained_on_is_parsed_as_the_gold_has_it(pipeline: bytes) -> None:
+def test_training_captions_are_parsed_as_in_the_gold(pipeline: bytes) -> None:
     graphs = read_gold(GOLD)
     data = train(GraphParser(pipeline), graphs, ["a person walks forward"], "own sentences")
     assert data == train(GraphParser(pipeline), graphs, ["a person walks forward"], "own sentences")
-    assert provenance_of(data) == "own sentences"
+    assert read_provenance(data) == "own sentences"
     parser = GraphParser(pipeline, data)
     hits = wanted = 0
     for graph in graphs:
         parts = {(a["start"], p["start"], p["end"]): {p["role"], *p.get("also", ())}
                  for a in graph["actions"] for p in a["arguments"] if not p.get("optional")}  # fmt: skip
-        found = {(a.start, p.start, p.end): p.role for a in parser.parse(graph["caption"]).actions for p in a.arguments}
-        hits += sum(found.get(key) in roles for key, roles in parts.items())
+        parsed = parser.parse(graph["caption"])
+        roles_by_span = {(a.start, p.start, p.end): p.role for a in parsed.actions for p in a.arguments}
+        hits += sum(roles_by_span.get(key) in roles for key, roles in parts.items())
         wanted += len(parts)
     assert hits / wanted > 0.95
 

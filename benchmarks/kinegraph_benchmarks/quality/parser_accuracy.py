@@ -25,17 +25,17 @@ from typing import Any
 import torch
 
 from kinegraph.bundle.reader import DEFAULT_BUNDLE
-from kinegraph.text.argument_classifier import packed
+from kinegraph.text.argument_classifier import pack_weights
 from kinegraph.text.parser import GraphParser
 from kinegraph_benchmarks.common.report_io import write_report
 from kinegraph_training.train_parser import (
     RULE_CAPTIONS,
     Examples,
-    examples,
     fit,
+    gold_examples,
     read_gold,
     rule_examples,
-    sampled_captions,
+    sample_captions,
 )
 
 HARD = Path(__file__).parents[2] / "parser"
@@ -81,7 +81,7 @@ def cross_validated(
     found: dict[str, Any] = {}
     for fold in range(len(parts)):
         seen = sum((part for number, part in enumerate(parts) if number != fold), rest)
-        parser = GraphParser(pipeline, packed(*fit(seen), ""))
+        parser = GraphParser(pipeline, pack_weights(*fit(seen), ""))
         found |= parsed(parser, [caption for caption, own in folds.items() if own == fold], scorer)
     return found
 
@@ -102,10 +102,11 @@ def measured(options: argparse.Namespace, scorer: ModuleType) -> dict[str, Any]:
     pipeline = options.parser.read_bytes()
     rules = GraphParser(pipeline)
     graphs, gold = read_gold(options.gold), list(scorer.read_file(options.gold))
-    rest = rule_examples(rules, sampled_captions(options.captions, RULE_CAPTIONS))
+    rest = rule_examples(rules, sample_captions(options.captions, RULE_CAPTIONS))
     folds = folds_of([graph["caption"] for graph in graphs], options.folds, options.seed, scorer)
     parts = [
-        examples(rules, [graph for graph in graphs if folds[graph["caption"]] == fold]) for fold in range(options.folds)
+        gold_examples(rules, [graph for graph in graphs if folds[graph["caption"]] == fold])
+        for fold in range(options.folds)
     ]
     learnt = cross_validated(parts, rest, folds, pipeline, scorer)
     alone = parsed(rules, folds, scorer)
@@ -117,11 +118,11 @@ def measured(options: argparse.Namespace, scorer: ModuleType) -> dict[str, Any]:
     everything = sum(parts, rest)
     halves = {"hard sentences, dev": (HARD / "hard_sentences_dev.jsonl", everything)}
     if options.held_out:
-        dev = examples(rules, read_gold(HARD / "hard_sentences_dev.jsonl"))
+        dev = gold_examples(rules, read_gold(HARD / "hard_sentences_dev.jsonl"))
         halves["hard sentences, held out"] = (HARD / "hard_sentences_held_out.jsonl", everything + dev)
     for name, (path, seen) in halves.items():
         own = list(scorer.read_file(path))
-        parser = GraphParser(pipeline, packed(*fit(seen), ""))
+        parser = GraphParser(pipeline, pack_weights(*fit(seen), ""))
         scores[name] = scorer.score(own, parsed(parser, [caption for caption, _, _ in own], scorer))
         scores[f"{name}, rules alone"] = scorer.score(own, parsed(rules, [caption for caption, _, _ in own], scorer))
     return {

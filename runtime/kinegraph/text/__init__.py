@@ -1,1 +1,1 @@
-"""From a caption to tokens and to a semantic graph."""
+"""Text processing: captions to word pieces and to semantic graphs."""

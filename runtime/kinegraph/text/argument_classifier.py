@@ -1,10 +1,13 @@
-"""What the linear model of arguments sees of an action and a span: names of features, as plain words.
+"""Argument classifier: multinomial logistic regression that selects and types the arguments of an action.
 
-Gildea and Jurafsky, *Automatic Labeling of Semantic Roles*, Computational Linguistics 2002, name most of them: head
-word, phrase type, path in the parse, position, voice; the preposition and its object as in Xue and Palmer, EMNLP 2004.
-Names of features that hold a word of content begin with an asterisk: training also shows every example without them.
+Every candidate span of an action gets named features, the classifier sums their weights per role, and weighted interval
+scheduling selects the best set of spans that do not overlap.
 
-A linear model that ranks and types the spans of an action, and the best set of spans that do not overlap."""
+Most features are those of Gildea and Jurafsky, "Automatic Labeling of Semantic Roles", Computational Linguistics 2002:
+head word, phrase type, path in the parse, position, voice. The preposition with its object is as in Xue and Palmer,
+"Calibrating Features for Semantic Role Labeling", EMNLP 2004. Names of features that hold a content word begin with an
+asterisk, because training shows every example a second time without them. Trained weights depend on the names.
+"""
 
 from __future__ import annotations
 
@@ -22,19 +25,168 @@ from kinegraph.arrays import FloatArray
 from kinegraph.errors import BundleFormatError
 from kinegraph.graph import ARGUMENT_ROLES
 from kinegraph.text import lexicon
-from kinegraph.text.candidates import ParsedTokens, Span, candidate_spans
+from kinegraph.text.candidates import candidate_spans
+from kinegraph.text.dependency import ParsedTokens, Span
 
-_LONGEST_TEXT: Final = 4
-_LONGEST_PATH: Final = 4
+CLASSES: Final = len(ARGUMENT_ROLES) + 1
+"""No argument (class 0), then `ARGUMENT_ROLES` in order."""
+
+_MAX_TEXT_TOKENS: Final = 4
+"""Longest span whose text is a feature."""
+_MAX_PATH_LABELS: Final = 4
+"""Longest path in the parse that is a feature."""
 
 
-def span_features(words: ParsedTokens, first: int, last: int, anchor: int) -> list[str]:
-    """Of a span by itself."""
-    text, pos = words.text, words.pos
-    lemma = words.lemma[anchor]
-    inner = content_word(words, first, last, anchor)
+@dataclass(frozen=True)
+class ArgumentCandidates:
+    """Candidate spans of one action with the names of their features."""
+
+    spans: list[tuple[int, int, int]]
+    """First token, last token, head of the span."""
+    features: list[list[str]]
+    """Names per span."""
+
+
+@dataclass(frozen=True)
+class ArgumentChoice:
+    """Arguments that the classifier selects for one action, as (role, span)."""
+
+    chosen: list[tuple[str, Span]]
+    """Arguments, which do not overlap, from left to right."""
+    ranked: list[tuple[str, Span]]
+    """All candidates with the likeliest role of each, the likeliest argument first."""
+
+
+class ArgumentClassifier:
+    """Multinomial logistic regression over named features.
+
+    Args:
+        data: an `.npz` with `names`, n lines of UTF-8 as bytes, and `weights` (n, CLASSES) float16.
+
+    Raises:
+        BundleFormatError: the bytes are no such file.
+    """
+
+    def __init__(self, data: bytes) -> None:
+        stored = _read_arrays(data)
+        names = stored["names"].tobytes().decode("utf-8", errors="replace").split("\n")
+        weights = stored["weights"].astype(np.float32)
+        if weights.shape != (len(names), CLASSES):
+            raise BundleFormatError(
+                f"arguments.npz holds {len(names)} names and weights {weights.shape}, not ({len(names)}, {CLASSES})"
+            )
+        if not np.isfinite(weights).all():
+            raise BundleFormatError("arguments.npz holds weights that are not finite")
+        self._index: dict[str, int] = {name: index for index, name in enumerate(names)}
+        self._weights: FloatArray = weights
+
+    def scores(self, features: Sequence[Sequence[str]]) -> FloatArray:
+        """Sum the weights of each span's features, unknown ones left out; returns (spans, CLASSES) logits."""
+        rows = [[self._index[name] for name in names if name in self._index] for names in features]
+        flat = np.array([index for row in rows for index in row], dtype=np.int64)
+        owner = np.repeat(np.arange(len(rows)), [len(row) for row in rows])
+        scores = np.zeros((len(rows), CLASSES), dtype=np.float32)
+        np.add.at(scores, owner, self._weights[flat])
+        return scores
+
+    def choose(self, candidates: ArgumentCandidates) -> ArgumentChoice:
+        """Select the set of spans without overlap that maximises the summed log-odds of being an argument."""
+        if not candidates.spans:
+            return ArgumentChoice([], [])
+        scores = self.scores(candidates.features)
+        roles = scores[:, 1:].argmax(axis=1)
+        # log(P(any role) / P(none)): a span torn between two roles is an argument all the same
+        gains = np.logaddexp.reduce(scores[:, 1:], axis=1) - scores[:, 0]
+        typed = [(ARGUMENT_ROLES[role], span[:2]) for role, span in zip(roles, candidates.spans, strict=True)]
+        chosen = weighted_interval_scheduling(candidates.spans, gains.tolist())
+        order = np.argsort(-gains, kind="stable")
+        return ArgumentChoice([typed[index] for index in chosen], [typed[index] for index in order])
+
+
+def weighted_interval_scheduling(spans: Sequence[tuple[int, ...]], gains: Sequence[float]) -> list[int]:
+    """Select the spans without overlap whose gains sum to the maximum, by dynamic programming.
+
+    Kleinberg and Tardos, "Algorithm Design", section 6.1: OPT(j) = max(v_j + OPT(p(j)), OPT(j - 1)), where p(j) counts
+    the spans that end before span j begins.
+
+    Args:
+        spans: first and last token of each, both included.
+        gains: v, one for each span; spans without a positive gain are never selected.
+
+    Returns:
+        Indices of the selected spans, from left to right.
+    """
+    order = sorted((index for index, gain in enumerate(gains) if gain > 0), key=lambda index: spans[index][1])
+    ends = [spans[index][1] for index in order]
+    best = [0.0]  # OPT
+    is_taken: list[bool] = []
+    compatible: list[int] = []  # p
+    for rank, index in enumerate(order):
+        before = rank
+        while before and ends[before - 1] >= spans[index][0]:
+            before -= 1
+        compatible.append(before)
+        total = best[before] + gains[index]
+        is_taken.append(total > best[rank])
+        best.append(max(total, best[rank]))
+    chosen = []
+    rank = len(order)
+    while rank:  # trace the optimum back
+        if is_taken[rank - 1]:
+            chosen.append(order[rank - 1])
+            rank = compatible[rank - 1]
+        else:
+            rank -= 1
+    return sorted(chosen, key=lambda index: spans[index][0])
+
+
+# Candidates and features
+
+
+def argument_candidates(
+    tokens: ParsedTokens, verbs: Sequence[int], rules: Sequence[Mapping[Span, str]], voices: Sequence[str]
+) -> list[ArgumentCandidates]:
+    """List the candidate spans of each action, in its sentence and without its verb, with their features.
+
+    Args:
+        tokens: the caption.
+        verbs: token index of each action.
+        rules: for each action, its arguments by the rules.
+        voices: for each action "act" or "pass".
+    """
+    anchors = {(first, last): anchor for first, last, anchor in candidate_spans(tokens)}
+    for arguments in rules:
+        for first, last in arguments:
+            anchors.setdefault((first, last), _span_head(tokens, first, last))
+    spans = [(first, last, anchor) for (first, last), anchor in anchors.items()]
+    shared_features = [span_features(tokens, *span) for span in spans]
+    candidates = []
+    for verb, arguments, voice in zip(verbs, rules, voices, strict=True):
+        verb_spans, features = [], []
+        others = {span: role for other in rules if other is not arguments for span, role in other.items()}
+        for span, names in zip(spans, shared_features, strict=True):
+            if not span[0] <= verb <= span[1] and tokens.sentence[span[0]] == tokens.sentence[verb]:
+                verb_spans.append(span)
+                features.append(names + pair_features(tokens, verb, span, arguments, others, verbs, voice))
+        candidates.append(ArgumentCandidates(verb_spans, features))
+    return candidates
+
+
+def _span_head(tokens: ParsedTokens, first: int, last: int) -> int:
+    """Find the token of a span that depends on a token outside."""
+    for index in range(first, last + 1):
+        if not first <= tokens.head[index] <= last or tokens.head[index] == index:
+            return index
+    return last
+
+
+def span_features(tokens: ParsedTokens, first: int, last: int, anchor: int) -> list[str]:
+    """Name the features of a span that do not depend on the action."""
+    text, pos = tokens.text, tokens.pos
+    lemma = tokens.lemma[anchor]
+    inner = content_word(tokens, first, last, anchor)
     before = text[first - 1] if first else "^"
-    behind = text[last + 1] if last + 1 < len(words) else "$"
+    behind = text[last + 1] if last + 1 < len(tokens) else "$"
     size = min(last - first + 1, 5)
     names = [
         "bias",
@@ -43,86 +195,83 @@ def span_features(words: ParsedTokens, first: int, last: int, anchor: int) -> li
         f"*l:{text[last]}",
         f"*fi:{text[first]} {inner}",
         f"*i:{inner}",
-        f"d:{words.dep[anchor]}",
+        f"d:{tokens.dep[anchor]}",
         f"p:{pos[first]} {pos[anchor]} {pos[last]}",
         f"n:{size}",
-        f"np:{pos[last + 1] if last + 1 < len(words) else '$'} {pos[last]}",
+        f"np:{pos[last + 1] if last + 1 < len(tokens) else '$'} {pos[last]}",
         f"pp:{pos[first - 1] if first else '^'} {pos[first]}",
         f"b:{before}",
         f"e:{behind}",
-        f"k:{_completeness(words, first, last, anchor)} {pos[anchor]}",
+        f"k:{_subtree_overhang(tokens, first, last, anchor)} {pos[anchor]}",
     ]
-    if size <= _LONGEST_TEXT:
+    if size <= _MAX_TEXT_TOKENS:
         names.append("*t:" + " ".join(text[first : last + 1]))
     return names
 
 
-def content_word(words: ParsedTokens, first: int, last: int, anchor: int) -> str:
-    """The object of a preposition or the verb of a clause; else the head itself."""
-    if words.pos[anchor] in ("ADP", "SCONJ"):
-        for place in range(anchor + 1, last + 1):
-            if words.head[place] == anchor or words.dep[place] in ("pobj", "pcomp"):
-                return words.lemma[place]
-    return words.lemma[anchor]
+def content_word(tokens: ParsedTokens, first: int, last: int, anchor: int) -> str:
+    """Find the lemma of a preposition's object or a clause's verb in a span; for other heads, of the head itself."""
+    if tokens.pos[anchor] in ("ADP", "SCONJ"):
+        for index in range(anchor + 1, last + 1):
+            if tokens.head[index] == anchor or tokens.dep[index] in ("pobj", "pcomp"):
+                return tokens.lemma[index]
+    return tokens.lemma[anchor]
 
 
-def _completeness(words: ParsedTokens, first: int, last: int, anchor: int) -> str:
-    left = "<" if words.first[anchor] < first else ("=" if words.first[anchor] == first else ">")
-    right = "<" if words.last[anchor] > last else ("=" if words.last[anchor] == last else ">")
+def _subtree_overhang(tokens: ParsedTokens, first: int, last: int, anchor: int) -> str:
+    """Compare both ends of the head's subtree with the span: "<" lies to the left, ">" to the right of its end."""
+    left = "<" if tokens.first[anchor] < first else ("=" if tokens.first[anchor] == first else ">")
+    right = "<" if tokens.last[anchor] > last else ("=" if tokens.last[anchor] == last else ">")
     return left + right
 
 
 def pair_features(
-    words: ParsedTokens,
+    tokens: ParsedTokens,
     verb: int,
     span: tuple[int, int, int],
     rules: Mapping[Span, str],
     others: Mapping[Span, str],
-    heads: Sequence[int],
+    verbs: Sequence[int],
     voice: str,
 ) -> list[str]:
-    """Of a span as an argument of the verb at a place.
+    """Name the features of a span as an argument of an action.
 
     Args:
-        words: the caption.
-        verb: the action's word.
-        span: first and last word, and its head.
-        rules: what the rules take for arguments of the verb.
-        others: what the rules take for arguments of other verbs.
-        heads: words of all actions.
+        tokens: the caption.
+        verb: token index of the action.
+        span: first and last token, and the head of the span.
+        rules: arguments of the action by the rules.
+        others: arguments of the other actions by the rules.
+        verbs: token indices of all actions.
         voice: "act" or "pass".
     """
     first, last, anchor = span
-    lemma, inner = words.lemma[verb], content_word(words, first, last, anchor)
+    word, lemma, inner = tokens.text[first], tokens.lemma[verb], content_word(tokens, first, last, anchor)
     side = "L" if last < verb else "R"
-    rule = rules.get((first, last)) or _overlap(first, last, rules)
-    between = sum(1 for head in heads if min(last, verb) < head < max(first, verb))
-    within = sum(1 for head in heads if first <= head <= last)
-    way = _path(words, verb, anchor)
+    rule = rules.get((first, last)) or _relation_to_rules(first, last, rules)
+    between = sum(1 for other in verbs if min(last, verb) < other < max(first, verb))
+    within = sum(1 for other in verbs if first <= other <= last)
+    path = _dependency_path(tokens, verb, anchor)
     distance = min(abs(first - verb) if side == "R" else abs(verb - last), 6)
     group = _verb_group(lemma)
     return [
         f"r:{rule}",
-        f"r:{rule} {words.pos[anchor]}",
-        f"r:{rule} {words.text[first]}",
+        f"r:{rule} {tokens.pos[anchor]}",
+        f"r:{rule} {word}",
         f"*r:{rule} {lemma}",
         f"q:{rule} {others.get((first, last), '')}",
         f"q:{side} {between} {others.get((first, last), '')}",
-        f"s:{side} {way}",
-        f"s:{side} {way} {words.pos[first]}",
+        f"s:{side} {path}",
+        f"s:{side} {path} {tokens.pos[first]}",
         f"s:{side} {between} {within}",
-        f"s:{side} {between} {words.text[first]}",
-        f"x:{side} {last + 1 in heads} {words.text[first]}",
-        f"s:{side} {distance} {words.pos[anchor]}",
-        f"*v:{lemma} {side}",
-        f"*v:{lemma} {way}",
-        f"*v:{lemma} {words.text[first]}",
-        f"*v:{lemma} {inner}",
-        f"*v:{lemma} {words.text[first]} {inner}",
-        f"g:{group} {voice} {side} {words.dep[anchor]}",
-        f"g:{group} {words.text[first]}",
-        f"o:{voice} {side} {way}",
-        f"h:{words.tag[verb]} {words.dep[verb]} {side} {words.pos[anchor]}",
+        f"s:{side} {between} {word}",
+        f"x:{side} {last + 1 in verbs} {word}",
+        f"s:{side} {distance} {tokens.pos[anchor]}",
+        *(f"*v:{lemma} {value}" for value in (side, path, word, inner, f"{word} {inner}")),
+        f"g:{group} {voice} {side} {tokens.dep[anchor]}",
+        f"g:{group} {word}",
+        f"o:{voice} {side} {path}",
+        f"h:{tokens.tag[verb]} {tokens.dep[verb]} {side} {tokens.pos[anchor]}",
     ]
 
 
@@ -138,103 +287,78 @@ def _verb_group(lemma: str) -> str:
     return "other"
 
 
-def _overlap(first: int, last: int, rules: Mapping[Span, str]) -> str:
-    """How a span that is no argument by the rules lies to those that are."""
-    found = "none"
+def _relation_to_rules(first: int, last: int, rules: Mapping[Span, str]) -> str:
+    """Describe how a span overlaps the arguments of the rules.
+
+    Kinds are "in" (inside an argument), "over" (around one), "x" (crossing one) and "none"; "<" and ">" mark a common
+    first or last token. The first argument around the span decides, else the last that overlaps.
+    """
+    relation = "none"
     for (left, right), role in rules.items():
         if left <= last and first <= right:
             kind = "in" if left <= first and last <= right else ("over" if first <= left and right <= last else "x")
-            end = ("<" if left == first else "") + (">" if right == last else "")
-            found = f"{kind}{end} {role}"
+            ends = ("<" if left == first else "") + (">" if right == last else "")
+            relation = f"{kind}{ends} {role}"
             if kind == "in":
                 break
-    return found
+    return relation
 
 
-def _path(words: ParsedTokens, verb: int, anchor: int) -> str:
-    """Dependency labels up from the span's head to the verb, or to what both depend on and down again."""
-    above = {verb: 0}
-    place, steps = verb, 0
-    while words.head[place] != place:
-        place, steps = words.head[place], steps + 1
-        above.setdefault(place, steps)
-    labels: list[str] = []
-    place = anchor
-    while place not in above:
-        labels.append(words.dep[place])
-        if words.head[place] == place:
+def _dependency_path(tokens: ParsedTokens, verb: int, anchor: int) -> str:
+    """Join the dependency labels from a span's head up to the lowest common ancestor and down to the verb.
+
+    "apart" if they are in different trees, "far" with the number of labels upwards if the path is too long.
+    """
+    ancestors = {verb}
+    index = verb
+    while tokens.head[index] != index:
+        index = tokens.head[index]
+        ancestors.add(index)
+    up: list[str] = []
+    index = anchor
+    while index not in ancestors:
+        up.append(tokens.dep[index])
+        if tokens.head[index] == index:
             return "apart"
-        place = words.head[place]
+        index = tokens.head[index]
+    common = index
     down: list[str] = []
-    top, place = place, verb
-    while place != top:
-        down.append(words.dep[place])
-        place = words.head[place]
-    way = [*labels, "|", *reversed(down)]
-    return ">".join(way) if len(way) <= _LONGEST_PATH + 1 else f"far{len(labels)}"
+    index = verb
+    while index != common:
+        down.append(tokens.dep[index])
+        index = tokens.head[index]
+    path = [*up, "|", *reversed(down)]
+    return ">".join(path) if len(path) <= _MAX_PATH_LABELS + 1 else f"far{len(up)}"
 
 
-CLASSES: Final = len(ARGUMENT_ROLES) + 1
-"""No argument, then `ARGUMENT_ROLES` in order."""
+# The file arguments.npz
 
 
-@dataclass(frozen=True)
-class Candidates:
-    """Spans of one action with the names of their features."""
-
-    spans: list[tuple[int, int, int]]
-    """First word, last word, head."""
-    features: list[list[str]]
-
-
-@dataclass(frozen=True)
-class Choice:
-    """What the model makes of one action's spans."""
-
-    taken: list[tuple[str, Span]]
-    ranked: list[tuple[str, Span]]
-    """All of them with the role each would have, the likeliest first."""
-
-
-def candidates(
-    words: ParsedTokens, verbs: Sequence[int], rules: Sequence[Mapping[Span, str]], voices: Sequence[str]
-) -> list[Candidates]:
-    """What may be an argument of each action.
+def pack_weights(names: Sequence[str], weights: FloatArray, provenance: str) -> bytes:
+    """Pack a model as `arguments.npz`; the same input gives the same bytes.
 
     Args:
-        words: the caption.
-        verbs: word of each action.
-        rules: per action, what the rules take for its arguments.
-        voices: per action "act" or "pass".
+        names: n names of features.
+        weights: (n, CLASSES).
+        provenance: what the model was trained on.
     """
-    known = {(first, last): anchor for first, last, anchor in candidate_spans(words)}
-    for found in rules:
-        for first, last in found:
-            known.setdefault((first, last), _top(words, first, last))
-    spans = [(first, last, anchor) for (first, last), anchor in known.items()]
-    alone = [span_features(words, *span) for span in spans]
-    made = []
-    for verb, found, voice in zip(verbs, rules, voices, strict=True):
-        own = [
-            (span, names)
-            for span, names in zip(spans, alone, strict=True)
-            if not span[0] <= verb <= span[1] and words.sentence[span[0]] == words.sentence[verb]
-        ]
-        others = {span: role for other in rules if other is not found for span, role in other.items()}
-        features = [names + pair_features(words, verb, span, found, others, verbs, voice) for span, names in own]
-        made.append(Candidates([span for span, _ in own], features))
-    return made
+    buffer = io.BytesIO()
+    lines = np.frombuffer("\n".join(names).encode("utf-8"), dtype=np.uint8)
+    source = np.frombuffer(provenance.encode("utf-8"), dtype=np.uint8)
+    np.savez_compressed(buffer, names=lines, weights=weights.astype(np.float16), provenance=source)
+    return buffer.getvalue()
 
 
-def _top(words: ParsedTokens, first: int, last: int) -> int:
-    """The word of a span that depends on a word outside."""
-    for place in range(first, last + 1):
-        if not first <= words.head[place] <= last or words.head[place] == place:
-            return place
-    return last
+def read_provenance(data: bytes) -> str:
+    """Read from an `arguments.npz` what its weights were trained on.
+
+    Raises:
+        BundleFormatError: the bytes are no such file.
+    """
+    return _read_arrays(data)["provenance"].tobytes().decode("utf-8")
 
 
-def _arrays(data: bytes) -> dict[str, NDArray[Any]]:
+def _read_arrays(data: bytes) -> dict[str, NDArray[Any]]:
     try:
         with np.load(io.BytesIO(data), allow_pickle=False) as stored:
             arrays = {name: stored[name] for name in ("names", "weights", "provenance")}
@@ -252,98 +376,3 @@ def _arrays(data: bytes) -> dict[str, NDArray[Any]]:
     if arrays["names"].dtype != np.uint8 or arrays["weights"].dtype != np.float16:
         raise BundleFormatError("arguments.npz must hold names as bytes and weights as float16")
     return arrays
-
-
-class ArgumentClassifier:
-    """Multinomial logistic regression over named features.
-
-    Args:
-        data: an `.npz` with `names`, n lines of UTF-8 as bytes, and `weights` (n, CLASSES) float16.
-
-    Raises:
-        BundleFormatError: the bytes are no such file.
-    """
-
-    def __init__(self, data: bytes) -> None:
-        stored = _arrays(data)
-        names = stored["names"].tobytes().decode("utf-8", errors="replace").split("\n")
-        weights = stored["weights"].astype(np.float32)
-        if weights.shape != (len(names), CLASSES):
-            raise BundleFormatError(
-                f"arguments.npz holds {len(names)} names and weights {weights.shape}, not ({len(names)}, {CLASSES})"
-            )
-        if not np.isfinite(weights).all():
-            raise BundleFormatError("arguments.npz holds weights that are not finite")
-        self._index: dict[str, int] = {name: place for place, name in enumerate(names)}
-        self._weights: FloatArray = weights
-
-    def scores(self, features: Sequence[Sequence[str]]) -> FloatArray:
-        """(spans, CLASSES) sums of the weights of their features; unknown features count nothing."""
-        rows = [[self._index[name] for name in names if name in self._index] for names in features]
-        flat = np.array([place for row in rows for place in row], dtype=np.int64)
-        owner = np.repeat(np.arange(len(rows)), [len(row) for row in rows])
-        scores = np.zeros((len(rows), CLASSES), dtype=np.float32)
-        np.add.at(scores, owner, self._weights[flat])
-        return scores
-
-    def choose(self, found: Candidates) -> Choice:
-        """The arguments: the set of spans without overlap whose log-odds against being none add up to most."""
-        if not found.spans:
-            return Choice([], [])
-        scores = self.scores(found.features)
-        roles = scores[:, 1:].argmax(axis=1)
-        # against all roles together: one that is torn between two of them is an argument all the same
-        gains = np.logaddexp.reduce(scores[:, 1:], axis=1) - scores[:, 0]
-        named = [(ARGUMENT_ROLES[role], span[:2]) for role, span in zip(roles, found.spans, strict=True)]
-        chosen = weighted_interval_scheduling(found.spans, gains.tolist())
-        order = np.argsort(-gains, kind="stable")
-        return Choice([named[place] for place in chosen], [named[place] for place in order])
-
-
-def weighted_interval_scheduling(spans: Sequence[tuple[int, ...]], gains: Sequence[float]) -> list[int]:
-    """Weighted interval scheduling: which spans that do not overlap gain most together (Kleinberg and Tardos, 6.1).
-
-    Args:
-        spans: first and last word of each.
-        gains: of each; those that are not positive are never taken.
-    """
-    order = sorted((place for place, gain in enumerate(gains) if gain > 0), key=lambda place: spans[place][1])
-    ends = [spans[place][1] for place in order]
-    totals = [0.0]
-    taken: list[bool] = []
-    earlier: list[int] = []
-    for rank, place in enumerate(order):
-        before = rank
-        while before and ends[before - 1] >= spans[place][0]:
-            before -= 1
-        earlier.append(before)
-        total = totals[before] + gains[place]
-        taken.append(total > totals[rank])
-        totals.append(max(total, totals[rank]))
-    chosen = []
-    rank = len(order)
-    while rank:
-        if taken[rank - 1]:
-            chosen.append(order[rank - 1])
-            rank = earlier[rank - 1]
-        else:
-            rank -= 1
-    return sorted(chosen, key=lambda place: spans[place][0])
-
-
-def packed(names: Sequence[str], weights: FloatArray, provenance: str) -> bytes:
-    """The content of `arguments.npz`; the same input gives the same bytes. `provenance` says what it was trained on."""
-    buffer = io.BytesIO()
-    lines = np.frombuffer("\n".join(names).encode("utf-8"), dtype=np.uint8)
-    source = np.frombuffer(provenance.encode("utf-8"), dtype=np.uint8)
-    np.savez_compressed(buffer, names=lines, weights=weights.astype(np.float16), provenance=source)
-    return buffer.getvalue()
-
-
-def provenance_of(data: bytes) -> str:
-    """What the weights in an `arguments.npz` were trained on.
-
-    Raises:
-        BundleFormatError: the bytes are no such file.
-    """
-    return _arrays(data)["provenance"].tobytes().decode("utf-8")

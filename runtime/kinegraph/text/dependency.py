@@ -1,16 +1,20 @@
-"""A caption's words with spaCy's dependency parse of them, read as `kinegraph.text.normalise` has it."""
+"""Dependency parse of a caption with spaCy, and the tokens and spans that the later stages work on.
+
+spaCy parses the surrogates of `kinegraph.text.normalise` instead of the words as they are written; token i is the same
+word in both, so offsets stay those of the caption.
+"""
 
 from __future__ import annotations
 
+import importlib
 import threading
-from collections.abc import Collection
+from collections.abc import Callable, Collection, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any, Final
 
 from kinegraph.errors import BundleFormatError, MissingExtraError
 from kinegraph.text import lexicon
-from kinegraph.text.candidates import ParsedTokens
 from kinegraph.text.normalise import normalise_tokens
 
 PIPES: Final[tuple[str, ...]] = ("tok2vec", "tagger", "parser", "attribute_ruler", "lemmatizer")
@@ -53,11 +57,16 @@ COMPONENTS: Final[dict[str, dict[str, Any]]] = {
     "attribute_ruler": {},
     "lemmatizer": {"mode": "rule"},
 }
-"""The pipeline is built from this table and only filled from the bundle's bytes: nothing in those names code."""
+"""Configuration of the pipeline's components.
+
+The pipeline is built from this table and takes only weights from the bundle: a bundle cannot name code to run."""
 
 
 def load_pipeline(data: bytes) -> Any:
-    """A spaCy pipeline of `COMPONENTS` with the weights of `nlp.to_bytes()`.
+    """Build the spaCy pipeline of `COMPONENTS` and load its weights.
+
+    Args:
+        data: what `nlp.to_bytes()` returned.
 
     Raises:
         MissingExtraError: spaCy is not installed.
@@ -71,8 +80,8 @@ def load_pipeline(data: bytes) -> Any:
             'parsing a sentence needs spaCy: pip install "kinegraph[text]"; or pass a graph instead of a sentence'
         ) from error
 
-    # The tokenizer's rules come with the bytes; making English's own first takes a tenth of a second.
-    pipeline = English(create_tokenizer=lambda made: Tokenizer(made.vocab))
+    # The bytes contain the tokenizer's rules. Building the default rules first would take a tenth of a second.
+    pipeline = English(create_tokenizer=lambda language: Tokenizer(language.vocab))
     for name in PIPES:
         pipeline.add_pipe(name, config=COMPONENTS[name])
     try:
@@ -82,24 +91,87 @@ def load_pipeline(data: bytes) -> Any:
 
 
 def import_in_background() -> None:
-    """Begin to import spaCy, which takes half a second, while something else is read."""
+    """Start importing spaCy in a thread, so that its half a second overlaps with loading the bundle."""
 
     def load() -> None:
-        with suppress(ImportError):  # said by `load_pipeline`, to whoever asked for a sentence
-            pass
+        with suppress(ImportError):  # `load_pipeline` reports it when a sentence has to be parsed
+            importlib.import_module("spacy.lang.en")
 
     threading.Thread(target=load, daemon=True).start()
 
 
+Span = tuple[int, int]
+"""First and last token, both included."""
+
+
+def has_word(text: str) -> bool:
+    """Tell whether a text contains a letter or a digit."""
+    return any(char.isalnum() for char in text)
+
+
+def is_filler(text: str, dep: str) -> bool:
+    """Tell whether a token is punctuation or a coordinating conjunction, which no span begins or ends with."""
+    return not has_word(text) or dep == "cc"
+
+
+def trim_span(span: Span, is_filler_at: Callable[[int], bool]) -> Span | None:
+    """Shrink a span to its first and last token that is no filler; None if there is none."""
+    solid = [index for index in range(span[0], span[1] + 1) if not is_filler_at(index)]
+    return (solid[0], solid[-1]) if solid else None
+
+
+@dataclass(frozen=True)
+class ParsedTokens:
+    """Dependency parse of N tokens as plain tuples, which are much faster to read than spaCy tokens."""
+
+    text: tuple[str, ...]
+    """Words with corrected spelling, lower case."""
+    lemma: tuple[str, ...]
+    """Base forms, lower case."""
+    pos: tuple[str, ...]
+    """Universal part of speech."""
+    tag: tuple[str, ...]
+    """Penn Treebank tag."""
+    dep: tuple[str, ...]
+    """Label of the edge to the head."""
+    head: tuple[int, ...]
+    """Index of the head; a root is its own head."""
+    first: tuple[int, ...]
+    """First token of the subtree."""
+    last: tuple[int, ...]
+    """Last token of the subtree."""
+    sentence: tuple[int, ...]
+    """First token of the sentence."""
+
+    @staticmethod
+    def from_doc(doc: Any, words: Sequence[str]) -> ParsedTokens:
+        """Copy the parse of a spaCy document; `words` are the corrected words that its surrogates stand for."""
+        rows = [
+            (t.lemma_.lower(), t.pos_, t.tag_, t.dep_, t.head.i, t.left_edge.i, t.right_edge.i, sentence.start)
+            for sentence in doc.sents
+            for t in sentence
+        ]
+        columns = list(zip(*rows, strict=True)) or [()] * 8
+        return ParsedTokens(tuple(word.lower() for word in words), *columns)
+
+    def __len__(self) -> int:
+        return len(self.text)
+
+    def trim(self, span: Span) -> Span | None:
+        """Drop punctuation and conjunctions at the ends of a span; None if nothing is left."""
+        return trim_span(span, lambda index: is_filler(self.text[index], self.dep[index]))
+
+
 @dataclass(frozen=True)
 class DependencyParse:
-    """One caption, analysed; word i is the same in all three."""
+    """Dependency parse of one caption; token i is the same word in all fields."""
 
     written: Any
-    """spaCy tokens of the caption as it is written: offsets come from here."""
-    parsed: Any
-    """spaCy tokens with the dependency parse, of the words as they were read."""
-    words: ParsedTokens
+    """spaCy document of the caption as it is written, unparsed: the source of character offsets."""
+    doc: Any
+    """spaCy document of the surrogates, with the dependency parse: the input of the rules."""
+    tokens: ParsedTokens
+    """The same parse with the corrected words: the input of the argument classifier."""
 
 
 class DependencyParser:
@@ -112,57 +184,63 @@ class DependencyParser:
 
     def __init__(self, pipeline_bytes: bytes) -> None:
         self._pipeline = load_pipeline(pipeline_bytes)
-        index = self._pipeline.get_pipe("lemmatizer").lookups.get_table("lemma_index", {})
-        self._dictionary = frozenset(self._pipeline.Defaults.stop_words).union(*(set(part) for part in index.values()))
+        lemma_index = self._pipeline.get_pipe("lemmatizer").lookups.get_table("lemma_index", {})
+        stop_words = frozenset(self._pipeline.Defaults.stop_words)
+        self._dictionary = stop_words.union(*(set(words) for words in lemma_index.values()))
 
     def __call__(self, text: str) -> DependencyParse:
-        """Analyse a text; where no clause has a verb, once more with the first plural that may be one as a verb."""
-        written = self._pipeline.make_doc(text)
-        parsed, mended = self._parsed(written, ())
-        overlooked = _overlooked_verb(parsed, mended)
-        if overlooked is not None:
-            parsed, mended = self._parsed(written, (overlooked,))
-        return DependencyParse(written, parsed, ParsedTokens.of(parsed, mended))
+        """Parse a text.
 
-    def _parsed(self, written: Any, verbs_at: Collection[int]) -> tuple[Any, tuple[str, ...]]:
+        If the parser took a verb for a plural noun, the text is parsed a second time with that word as a verb.
+        """
+        written = self._pipeline.make_doc(text)
+        doc, words = self._run_pipeline(written, ())
+        verb = _find_overlooked_verb(doc, words)
+        if verb is not None:
+            doc, words = self._run_pipeline(written, (verb,))
+        return DependencyParse(written, doc, ParsedTokens.from_doc(doc, words))
+
+    def _run_pipeline(self, written: Any, verbs_at: Collection[int]) -> tuple[Any, tuple[str, ...]]:
+        """Parse the surrogates of a tokenized text; returns the document and the corrected words."""
         from spacy.tokens import Doc
 
-        found = normalise_tokens([token.text for token in written], self._known, verbs_at)
+        normalised = normalise_tokens([token.text for token in written], self._is_known, verbs_at)
         spaces = [bool(token.whitespace_) for token in written]
-        doc = Doc(self._pipeline.vocab, words=list(found.surrogates), spaces=spaces)
+        doc = Doc(self._pipeline.vocab, words=list(normalised.surrogates), spaces=spaces)
         for _, component in self._pipeline.pipeline:
             doc = component(doc)
-        for token, lemma in zip(doc, found.lemmas, strict=True):
+        for token, lemma in zip(doc, normalised.lemmas, strict=True):
             if lemma is not None:
                 token.lemma_ = lemma
-        return doc, found.words
+        return doc, normalised.words
 
-    def _known(self, word: str) -> bool:
-        """Whether a word in lower case, or what it is a regular form of, is in the dictionary."""
+    def _is_known(self, word: str) -> bool:
+        """Tell whether the dictionary has a lower-case word, or the base form of which it is a regular form."""
         return word in self._dictionary or any(
-            word.endswith(ending) and word[: len(word) - len(ending)] + rest in self._dictionary
-            for ending, rest in _ENDINGS
+            word.endswith(suffix) and word[: len(word) - len(suffix)] + base_ending in self._dictionary
+            for suffix, base_ending in _SUFFIXES
         )
 
 
-_ENDINGS: Final = (
+_SUFFIXES: Final = (
     ("s", ""), ("es", ""), ("ies", "y"), ("ed", ""), ("ed", "e"), ("ied", "y"), ("ing", ""), ("ing", "e"), ("ly", ""),
     ("er", ""), ("er", "e"), ("est", ""), ("est", "e"),
 )  # fmt: skip
+"""Endings of regular forms, with the ending of their base form."""
 
 
-def _overlooked_verb(parsed: Any, mended: tuple[str, ...]) -> int | None:
-    """A verb behind a subject that the parser took for the sentence ("a person on a chair waves")."""
-    for sentence in parsed.sents:
+def _find_overlooked_verb(doc: Any, words: Sequence[str]) -> int | None:
+    """Find a verb that the parser took for a plural noun, in a sentence without one ("a person on a chair waves")."""
+    for sentence in doc.sents:
         root = sentence.root
         if root.pos_ not in ("NOUN", "PROPN", "PRON") or root.lemma_.lower() in lexicon.EVENT_NOUNS:
             continue
         for token in sentence:
-            word = mended[token.i].lower()
-            before = parsed[token.i - 1] if token.i else None
+            word = words[token.i].lower()
+            before = doc[token.i - 1] if token.i else None
             if word in lexicon.FINITE_VERBS and token.tag_ == "NNS" and before is not None and token.i > root.i:
                 noun = before.pos_ in ("DET", "ADJ", "NUM", "ADP", "PUNCT") or before.lower_ in lexicon.BODY_NOUNS
                 if not noun and before.tag_ != "PRP$":
-                    place: int = token.i
-                    return place
+                    index: int = token.i
+                    return index
     return None

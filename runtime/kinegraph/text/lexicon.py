@@ -1,4 +1,6 @@
-"""Word lists of the parser's rules: how captions of human motion name manners, directions, places and times."""
+"""Word lists of the parser: verbs of motion, and how captions name manners, directions, places and times.
+
+"Manner" is PropBank's role ARGM-MNR."""
 
 from __future__ import annotations
 
@@ -8,7 +10,7 @@ UNACCUSATIVE: Final = frozenset(
     "turn stand rise stop fall stumble rotate spin move bend lean trip slip balance sway roll remain stay start begin"
     " end finish happen collapse sit lie kneel slide".split()
 )
-"""Verbs whose subject undergoes the motion: it is ARG1 (PropBank), unless they take an object."""
+"""Verbs whose subject undergoes the motion: ARG1 in PropBank, unless they take an object."""
 
 TRANSITIVE: Final = frozenset(
     "raise lower lift bend stretch open close push pull move swing wave cross hold shake clap rub touch grab pick drop"
@@ -17,15 +19,18 @@ TRANSITIVE: Final = frozenset(
 """Verbs that share the object of a verb they are coordinated with ("raises and lowers the hand")."""
 
 STATIVE: Final = frozenset("look seem appear feel be remain become sound".split())
+"""Verbs of a state instead of a motion."""
 
 TRAVEL: Final = frozenset("go come return get rise climb descend".split())
+"""Verbs with a start (ARG3) and a goal (ARG4)."""
 TRAVEL_ON: Final = frozenset(
     "walk run go climb jog step move jump hop come crawl march stroll sneak slide sprint".split()
 )
-"""Verbs that go "up a slope" or "down the stairs", where others lift something up."""
+"""Verbs that go "up a slope" or "down the stairs"; with other verbs, "up" is a particle ("lifts up a box")."""
 TRANSFER: Final = frozenset(
     "put place pick take give wipe hold lean kick throw stretch tie tap hand bring push shove".split()
 )
+"""Verbs with a recipient or a place of what is moved (ARG2)."""
 
 MANNER_NOUNS: Final = frozenset(
     "way manner fashion style mood speed pace energy joy pride confidence fatigue vigor spirit effort ease care force"
@@ -47,9 +52,11 @@ MANNER_PREPOSITIONS: Final = frozenset("with without like as by of via".split())
 
 TIME_NOUNS: Final = frozenset("second minute hour moment time while beginning end start once twice times".split())
 WAYS: Final = frozenset("way manner fashion style mood speed pace rage spirit".split())
+"""Nouns of "in a ... way"."""
 CIRCLE_NOUNS: Final = frozenset(
     "circle line curve square arc zigzag triangle path loop pattern semicircle spiral".split()
 )
+"""Nouns that name the shape of a path ("walks in a circle")."""
 SIDE_NOUNS: Final = frozenset("left right side front back direction clockwise counterclockwise forward".split())
 
 DIRECTION_ADVERBS: Final = frozenset(
@@ -77,9 +84,10 @@ EVENT_NOUNS: Final = frozenset(
 """Nouns that name a motion, and verbs that taggers take for nouns in short captions."""
 
 GET: Final = frozenset("get gets getting got".split())
+"""Forms of "get", an action of its own in "gets pushed"."""
 
 NEVER_VERBS: Final = (DIRECTION_ADVERBS - frozenset(("left",))) | frozenset(("circle", "reverse", "clockwise"))
-"""Words that the tagger takes for verbs now and then, in forms that captions use for nouns and adverbs."""
+"""Words that the tagger sometimes takes for verbs, although captions use them as nouns and adverbs."""
 
 VERBS: Final = EVENT_NOUNS - frozenset("greeting movement motion rotation".split()) | frozenset(
     "raise lower pick put carry hold take make do perform go come crouch duck dive drop flap flex gallop glide"
@@ -112,15 +120,15 @@ def _participle(verb: str) -> str:
 
 
 FINITE_VERBS: Final = {_third_person(verb): verb for verb in sorted(VERBS) if verb != "do"}
-"""Third person to base form; "does" is as often an auxiliary."""
+"""Third person to base form; without "does", which is as often an auxiliary."""
 
 CONFUSED: Final = {"waive": "wave", "waives": "waves", "waiving": "waving", "quater": "quarter"}
-"""Words that nobody means in a caption."""
+"""English words that are spelling slips in a caption, with their correction."""
 
 ROTATIONS: Final = frozenset("clockwise counterclockwise anticlockwise counter-clockwise anti-clockwise".split())
 
 PERSON_NOUNS: Final = frozenset("human subject humanoid avatar".split())
-"""Words for the one who moves that the tagger takes for adjectives or names."""
+"""Words for the person who moves that the tagger takes for adjectives or names."""
 SUBJECT_NOUNS: Final = PERSON_NOUNS | frozenset(
     "person man woman someone somebody figure character individual child boy girl guy lady player dancer people actor"
     " kid adult athlete he she it they".split()
@@ -150,4 +158,4 @@ VOCABULARY: Final = (
         " counterclockwise another person persons while position object something ground floor".split()
     )
 )
-"""What a misspelt word may have been meant to be."""
+"""Words that spelling correction may choose."""

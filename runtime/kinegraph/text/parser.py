@@ -1,8 +1,16 @@
-"""Captions to semantic graphs.
+"""Parse a caption into its semantic graph (GraphMotion, section 3.1).
 
-The dependency parse (`analysis`) gives the actions and, by rules (`rules`), a first guess of their arguments; a linear
-model ranks and types all phrases around an action (`spans`, `features`, `ranker`). Without its weights the rules stand
-alone.
+The stages, in the order of `GraphParser.parse`:
+
+1. `clean` replaces white space and control characters by blanks.
+2. `dependency` parses the words, after `normalise` has corrected them.
+3. `rules` finds the actions and a first guess of their arguments: the predicate frames.
+4. `candidates` lists the spans that may be arguments.
+5. `argument_classifier` scores them and selects the best set without overlap.
+6. Content words that no node covers join the nearest action.
+7. The frames become a graph with character offsets.
+
+Without weights of the argument classifier, stages 4 and 5 are left out and the arguments of the rules stand.
 """
 
 from __future__ import annotations
@@ -16,15 +24,22 @@ from kinegraph.errors import BundleError, InvalidInputError
 from kinegraph.graph import Action, Argument, SemanticGraph
 from kinegraph.limits import MAX_NODES, MAX_TEXT
 from kinegraph.text import lexicon
-from kinegraph.text.argument_classifier import ArgumentClassifier, Candidates, candidates
-from kinegraph.text.candidates import Span
-from kinegraph.text.dependency import DependencyParse, DependencyParser
-from kinegraph.text.rules import CONTENT, Frame, frame, is_action, is_certain, is_passive, trimmed
+from kinegraph.text.argument_classifier import ArgumentCandidates, ArgumentClassifier, argument_candidates
+from kinegraph.text.dependency import DependencyParse, DependencyParser, Span, has_word
+from kinegraph.text.rules import (
+    CONTENT_POS,
+    PredicateFrame,
+    build_frame,
+    is_action,
+    is_certain,
+    is_passive,
+    trim_in_doc,
+)
 from kinegraph.text.tokenizer import check_unicode
 
 
 class GraphParser:
-    """Sentence to graph; deterministic, safe to share between threads.
+    """Caption to semantic graph; deterministic, safe to share between threads.
 
     Args:
         pipeline_bytes: content of parser.bin.
@@ -36,44 +51,33 @@ class GraphParser:
     """
 
     def __init__(self, pipeline_bytes: bytes, argument_weights: bytes | None = None) -> None:
-        self._analyser = DependencyParser(pipeline_bytes)
-        self._ranker = None if argument_weights is None else ArgumentClassifier(argument_weights)
+        self._dependency_parser = DependencyParser(pipeline_bytes)
+        self._classifier = None if argument_weights is None else ArgumentClassifier(argument_weights)
 
     def parse(self, caption: str) -> SemanticGraph:
-        """The graph of a caption, offsets in its characters; never empty for a caption with words in it.
+        """Parse a caption into a graph with at least one action, offsets in characters of the caption.
 
         Raises:
             InvalidInputError: no text, blank, without a letter or digit, or longer than `limits.MAX_TEXT`.
         """
         check_caption(caption)
-        analysis = self.analyse(caption)
-        frames = predicate_frames(analysis)
-        if self._ranker is not None:
-            for found, options in zip(frames, frame_candidates(analysis, frames), strict=True):
-                choice = self._ranker.choose(options)
-                found.arguments = with_certain(choice.taken, found)
-                found.others = choice.ranked
-        attach_uncovered_words(analysis.parsed, frames)
-        return build_graph(caption, analysis.written, frames)
+        parse = self.parse_dependencies(caption)
+        frames = predicate_frames(parse)
+        if self._classifier is not None:
+            for frame, candidates in zip(frames, frame_candidates(parse, frames), strict=True):
+                choice = self._classifier.choose(candidates)
+                frame.arguments = keep_certain_arguments(frame, choice.chosen)
+                frame.ranked = choice.ranked
+        attach_uncovered_words(parse.doc, frames)
+        return build_graph(caption, parse.written, frames)
 
-    def analyse(self, caption: str) -> DependencyParse:
-        """The words of a checked caption with their dependency parse."""
-        return self._analyser(clean(caption))
-
-
-def read_parser(folder: Path) -> GraphParser:
-    """The parser of a folder of assets or of a bundle that is trusted: nothing is hashed.
-
-    Raises:
-        OSError: there is no parser.bin.
-        MissingExtraError, BundleFormatError: see `GraphParser`.
-    """
-    weights = folder / "arguments.npz"
-    return GraphParser((folder / "parser.bin").read_bytes(), weights.read_bytes() if weights.is_file() else None)
+    def parse_dependencies(self, caption: str) -> DependencyParse:
+        """Parse the dependencies of a checked caption."""
+        return self._dependency_parser(clean(caption))
 
 
 class LazyParser:
-    """Makes the parser when the first sentence comes: whoever brings graphs never pays for spaCy."""
+    """Builds the parser when the first sentence comes, so that callers who pass graphs never load spaCy."""
 
     def __init__(self, pipeline_bytes: bytes | None, argument_weights: bytes | None = None) -> None:
         self._data = None if pipeline_bytes is None else (pipeline_bytes, argument_weights)
@@ -81,8 +85,8 @@ class LazyParser:
         self._parser: GraphParser | None = None
 
     @staticmethod
-    def of(files: Mapping[str, bytes]) -> LazyParser:
-        """From the files of a bundle by name."""
+    def from_files(files: Mapping[str, bytes]) -> LazyParser:
+        """Take the parser's files, if there are any, from those of a bundle by name."""
         return LazyParser(files.get("parser.bin"), files.get("arguments.npz"))
 
     def __call__(self) -> GraphParser:
@@ -95,6 +99,17 @@ class LazyParser:
             return self._parser
 
 
+def read_parser(folder: Path) -> GraphParser:
+    """Read the parser of a folder of assets or of a trusted bundle; no hashes are checked.
+
+    Raises:
+        OSError: there is no parser.bin.
+        MissingExtraError, BundleFormatError: see `GraphParser`.
+    """
+    weights = folder / "arguments.npz"
+    return GraphParser((folder / "parser.bin").read_bytes(), weights.read_bytes() if weights.is_file() else None)
+
+
 def check_caption(caption: object) -> None:
     """Refuse what cannot be a caption, before anything is loaded or run."""
     if not isinstance(caption, str):
@@ -102,108 +117,121 @@ def check_caption(caption: object) -> None:
     if len(caption) > MAX_TEXT:
         raise InvalidInputError(f"a caption may have {MAX_TEXT} characters, this one has {len(caption)}; shorten it")
     check_unicode(caption)
-    if not any(char.isalnum() for char in caption):
-        shown = "empty" if not caption.strip() else f"{caption[:40]!r}, without a letter or digit"
-        raise InvalidInputError(f"the caption is {shown}; describe a motion, such as 'a person walks forward'")
+    if not has_word(caption):
+        problem = "empty" if not caption.strip() else f"{caption[:40]!r}, without a letter or digit"
+        raise InvalidInputError(f"the caption is {problem}; describe a motion, such as 'a person walks forward'")
 
 
 def clean(caption: str) -> str:
-    """Same length, so that offsets hold: white space and control characters become blanks."""
+    """Replace white space and control characters by blanks, one for one, so that offsets hold."""
     return "".join(char if char.isprintable() else " " for char in caption)
 
 
-def predicate_frames(analysis: DependencyParse) -> list[Frame]:
-    """The actions of a caption, at least one, with their arguments by the rules."""
-    doc = analysis.parsed
-    return [frame(token) for token in doc if is_action(token)] or [fallback_frame(doc)]
+def predicate_frames(parse: DependencyParse) -> list[PredicateFrame]:
+    """Find the actions of a caption, at least one, with their arguments by the rules."""
+    return [build_frame(token) for token in parse.doc if is_action(token)] or [fallback_frame(parse.doc)]
 
 
-def frame_candidates(analysis: DependencyParse, frames: list[Frame]) -> list[Candidates]:
-    """What the linear model chooses from, for each action."""
-    rules = [{span: role for role, span in found.arguments} for found in frames]
-    voices = ["pass" if is_passive(found.head) else "act" for found in frames]
-    return candidates(analysis.words, [found.head.i for found in frames], rules, voices)
+def fallback_frame(doc: Any) -> PredicateFrame:
+    """Choose an action for a caption without a verb.
+
+    The first noun that names a motion; else the root of a sentence with a content word; else the first word.
+    """
+    words = [token for token in doc if has_word(token.text)]
+    events = [token for token in words if token.lemma_.lower() in lexicon.EVENT_NOUNS]
+    content = [token for token in words if token.pos_ in CONTENT_POS and not token.is_stop]
+    roots = [token.sent.root for token in content if token.sent.root in words]
+    return build_frame((events or roots or words)[0])
 
 
-def with_certain(chosen: list[tuple[str, Span]], found: Frame) -> list[tuple[str, Span]]:
-    """What the rules are sure of, negation and agents, in place of any choice that overlaps it."""
-    certain = [(role, span) for role, span in found.arguments if is_certain(found.head, span)]
+def frame_candidates(parse: DependencyParse, frames: list[PredicateFrame]) -> list[ArgumentCandidates]:
+    """List the candidate spans of each action with their features, the rules' guess among them."""
+    rule_roles = [{span: role for role, span in frame.arguments} for frame in frames]
+    voices = ["pass" if is_passive(frame.head) else "act" for frame in frames]
+    return argument_candidates(parse.tokens, [frame.head.i for frame in frames], rule_roles, voices)
+
+
+def keep_certain_arguments(frame: PredicateFrame, chosen: list[tuple[str, Span]]) -> list[tuple[str, Span]]:
+    """Let negations and agents of the rules replace the classifier's choices that overlap them."""
+    certain = [(role, span) for role, span in frame.arguments if is_certain(frame.head, span)]
     free = [
         (role, span) for role, span in chosen if all(span[1] < first or last < span[0] for _, (first, last) in certain)
     ]
-    return sorted(certain + free, key=lambda item: item[1])
+    return sorted(certain + free, key=lambda argument: argument[1])
 
 
-def fallback_frame(doc: Any) -> Frame:
-    """Captions without a verb: a noun that names a motion, else the head of the first content word, else a word."""
-    worded = [token for token in doc if any(char.isalnum() for char in token.text)]
-    events = [token for token in worded if token.lemma_.lower() in lexicon.EVENT_NOUNS]
-    content = [token for token in worded if token.pos_ in CONTENT and not token.is_stop]
-    return frame((events or [token.sent.root for token in content if token.sent.root in worded] or worded)[0])
+def attach_uncovered_words(doc: Any, frames: list[PredicateFrame]) -> None:
+    """Give content words that no node covers to the action nearest above them in the parse, else in the sentence."""
+    covered = {frame.head.i for frame in frames}
+    for frame in frames:
+        for _, (first, last) in frame.arguments:
+            covered.update(range(first, last + 1))
+    uncovered = [token.i for token in doc if token.i not in covered and _is_attachable(token)]
+    for run in _contiguous_spans(uncovered):
+        span = trim_in_doc(doc, run)
+        if span is None or not covered.isdisjoint(range(span[0], span[1] + 1)):
+            continue  # nothing is left, or a span attached before reaches over it
+        frame = _nearest_frame(doc[span[0]], frames)
+        if frame.ranked is None:
+            frame.add("ARGM-MNR" if doc[span[0]].pos_ in ("ADJ", "ADV") else "OTHERS", span)
+        elif any(doc[index].pos_ not in ("ADP", "PART") for index in range(span[0], span[1] + 1)):
+            role, (first, last) = _likeliest_around(span, frame.ranked, covered)
+            frame.add(role, (first, last))
+            covered.update(range(first, last + 1))
 
 
-def attach_uncovered_words(doc: Any, frames: list[Frame]) -> None:
-    """Give words with content that no node holds to the action nearest above them (or before them)."""
-    held = {found.head.i for found in frames}
-    for found in frames:
-        for _, (first, last) in found.arguments:
-            held.update(range(first, last + 1))
-    loose = [token.i for token in doc if token.i not in held and token.pos_ in CONTENT and _counts(token)]
-    for span in _runs(loose):
-        kept = trimmed(doc, span)
-        if kept is None or not held.isdisjoint(range(kept[0], kept[1] + 1)):
-            continue  # nothing left, or held by now: a likelier span may reach over several runs
-        nearest = _nearest(doc[kept[0]], frames)
-        if nearest.others is None:
-            nearest.add("ARGM-MNR" if doc[kept[0]].pos_ in ("ADJ", "ADV") else "OTHERS", kept)
-        elif any(doc[place].pos_ not in ("ADP", "PART") for place in range(kept[0], kept[1] + 1)):
-            role, (first, last) = _likeliest(kept, nearest, held)
-            nearest.add(role, (first, last))
-            held.update(range(first, last + 1))
+def _is_attachable(token: Any) -> bool:
+    has_content = token.pos_ in CONTENT_POS and has_word(token.text)
+    return has_content and token.dep_ not in ("aux", "auxpass", "mark", "nsubj")
 
 
-def _likeliest(span: Span, found: Frame, held: set[int]) -> tuple[str, Span]:
-    """The likeliest span around some words that no node holds; they themselves if there is none."""
-    for role, (first, last) in found.others or ():
-        if first <= span[0] and span[1] <= last and held.isdisjoint(range(first, last + 1)):
+def _contiguous_spans(indices: list[int]) -> list[Span]:
+    """Group ascending token indices into spans without gaps."""
+    spans: list[Span] = []
+    for index in indices:
+        if spans and index == spans[-1][1] + 1:
+            spans[-1] = (spans[-1][0], index)
+        else:
+            spans.append((index, index))
+    return spans
+
+
+def _nearest_frame(token: Any, frames: list[PredicateFrame]) -> PredicateFrame:
+    by_head = {frame.head.i: frame for frame in frames}
+    for ancestor in token.ancestors:
+        if ancestor.i in by_head:
+            return by_head[ancestor.i]
+    return min(frames, key=lambda frame: abs(frame.head.i - token.i))
+
+
+def _likeliest_around(span: Span, ranked: list[tuple[str, Span]], covered: set[int]) -> tuple[str, Span]:
+    """Take the likeliest candidate that contains a span and no covered word, else the span itself as OTHERS."""
+    for role, (first, last) in ranked:
+        if first <= span[0] and span[1] <= last and covered.isdisjoint(range(first, last + 1)):
             return role, (first, last)
     return "OTHERS", span
 
 
-def _counts(token: Any) -> bool:
-    return any(char.isalnum() for char in token.text) and token.dep_ not in ("aux", "auxpass", "mark", "nsubj")
+def build_graph(caption: str, written: Any, frames: list[PredicateFrame]) -> SemanticGraph:
+    """Convert frames to a graph with character offsets.
 
+    Beyond `limits.MAX_NODES` nodes, the last arguments are dropped first, then the last actions.
 
-def _runs(numbers: list[int]) -> list[Span]:
-    spans: list[Span] = []
-    for number in numbers:
-        if spans and number == spans[-1][1] + 1:
-            spans[-1] = (spans[-1][0], number)
-        else:
-            spans.append((number, number))
-    return spans
-
-
-def _nearest(token: Any, frames: list[Frame]) -> Frame:
-    by_head = {found.head.i: found for found in frames}
-    for ancestor in token.ancestors:
-        if ancestor.i in by_head:
-            return by_head[ancestor.i]
-    return min(frames, key=lambda found: abs(found.head.i - token.i))
-
-
-def build_graph(caption: str, doc: Any, frames: list[Frame]) -> SemanticGraph:
-    """Frames as a graph; past `limits.MAX_NODES` the last specifics go first, then the last actions."""
+    Args:
+        caption: the caption.
+        written: spaCy tokens of the caption, the same as those of the frames by index.
+        frames: the actions in the order of the caption.
+    """
     frames = frames[: MAX_NODES - 1]
     room = MAX_NODES - 1 - len(frames)
     actions = []
-    for order, found in enumerate(frames):
+    for order, frame in enumerate(frames):
         arguments = []
-        for role, (first, last) in sorted(found.arguments, key=lambda item: item[1])[:room]:
-            start, end = doc[first].idx, doc[last].idx + len(doc[last])
+        for role, (first, last) in sorted(frame.arguments, key=lambda argument: argument[1])[:room]:
+            start, end = written[first].idx, written[last].idx + len(written[last])
             arguments.append(Argument(role, caption[start:end], start, end))
         room -= len(arguments)
-        head = doc[found.head.i]
-        start, end = head.idx, head.idx + len(head)
+        verb = written[frame.head.i]
+        start, end = verb.idx, verb.idx + len(verb)
         actions.append(Action(caption[start:end], start, end, order, arguments=tuple(arguments)))
     return SemanticGraph(caption, tuple(actions))

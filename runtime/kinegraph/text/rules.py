@@ -1,12 +1,8 @@
-"""Actions and phrases of a dependency parse: which tokens are verbs of their own, and which words belong to one.
+"""Predicate frames by rules: which tokens are actions, which phrases are their arguments, and in which role.
 
-A token is a spaCy token; spans are (first, last) token numbers, last included.
-
-Types of arguments by their own words, for the rules.
-
-Semantic roles from a dependency parse, by rules.
-
-A token is a spaCy token; spans are (first, last) token numbers, last included.
+Actions are verbs of the dependency parse. Each collects its subject, its objects and its modifiers as spans of its own
+subtree; roles are PropBank's (`kinegraph.graph.ROLES`), chosen by dependency label and word lists. The rules read
+spaCy tokens, because they walk the tree.
 """
 
 from __future__ import annotations
@@ -16,248 +12,193 @@ from dataclasses import dataclass, field
 from itertools import pairwise
 from typing import Any
 
-from kinegraph.text import lexicon as words
-from kinegraph.text.candidates import Span, has_word
+from kinegraph.text import lexicon
+from kinegraph.text.dependency import Span, has_word, is_filler, trim_span
 
 Token = Any
+"""A spaCy token."""
 
-CLAUSES = frozenset(("relcl", "acl"))
+NOUN_CLAUSES = frozenset(("relcl", "acl"))
+"""Clauses that modify a noun; their verbs are actions of their own."""
+SUBJECTS = frozenset(("nsubj", "csubj", "expl"))
+PASSIVE_SUBJECTS = frozenset(("nsubjpass", "csubjpass"))
+NON_ARGUMENTS = frozenset(
+    ("aux", "auxpass", "punct", "mark", "cc", "conj", "preconj", "case", "det", "parataxis", "dep")
+)
+"""Dependency labels of children that are no arguments."""
+CONTENT_POS = frozenset(("NOUN", "PROPN", "ADJ", "ADV", "NUM", "VERB", "ADP", "SYM", "X", "INTJ", "PRON"))
+
+
+# Actions
 
 
 def is_action(token: Token) -> bool:
-    """A full verb, or "be" and the like where they are the clause's main verb."""
+    """Tell whether a token is a full verb, or an auxiliary such as "be" that is the main verb of its clause."""
     if not has_word(token.text):
         return False
     if token.lower_ == "left" and token.i > token.head.i:  # "turns left 90 degrees", taken for "to leave"
         return False
-    if token.lower_ in words.NEVER_VERBS or (token.i and token.nbor(-1).text == "-"):  # "mid-walk"
+    if token.lower_ in lexicon.NEVER_VERBS or (token.i and token.nbor(-1).text == "-"):  # "mid-walk"
         return False
-    if token.dep_ == "auxpass" and token.lower_ in words.GET:  # "gets pushed": PropBank's own verb
+    if token.dep_ == "auxpass" and token.lower_ in lexicon.GET:  # "gets pushed": PropBank annotates "get"
         return True
-    if describes_mover(token):
+    if is_subject_participle(token):
         return True
     if token.pos_ == "VERB":
         return token.dep_ not in ("aux", "auxpass", "amod", "case", "compound", "prep")
     return token.pos_ == "AUX" and token.dep_ in ("ROOT", "ccomp", "advcl", "relcl", "conj", "parataxis", "pcomp")
 
 
-def describes_mover(token: Token) -> bool:
-    """ "a kneeling person": an action of its own, whatever its tag."""
+def is_subject_participle(token: Token) -> bool:
+    """Tell whether a token is a participle before the noun of who moves, such as "a kneeling person"."""
     return (
         token.dep_ in ("amod", "compound")
         and token.lower_.endswith("ing")
         and token.head.i > token.i
-        and token.head.lower_ in words.SUBJECT_NOUNS
+        and token.head.lower_ in lexicon.SUBJECT_NOUNS
     )
-
-
-def words_below(token: Token) -> list[Token]:
-    """The subtree of a token without clauses that are actions of their own and without coordinated verbs."""
-    found = [token]
-    for child in token.children:
-        if child.dep_ in CLAUSES or (child.dep_ == "punct" and child.i == token.right_edge.i):
-            continue
-        if child.dep_ in ("conj", "cc") and (token.pos_ in ("VERB", "AUX") or _leads_to_action(child, token)):
-            continue
-        found += words_below(child)
-    return found
-
-
-def _leads_to_action(child: Token, parent: Token) -> bool:
-    if child.dep_ == "conj":
-        return is_action(child)
-    later = [other for other in parent.children if other.dep_ == "conj" and other.i > child.i]
-    return bool(later) and is_action(later[0])
-
-
-def phrase(token: Token) -> Span | None:
-    """The run of neighbouring words around a token that belong to it, without punctuation at its ends."""
-    numbers = {word.i for word in words_below(token)}
-    first = last = token.i
-    while first - 1 in numbers:
-        first -= 1
-    while last + 1 in numbers:
-        last += 1
-    return trimmed(token.doc, (first, last))
-
-
-def trimmed(doc: Any, span: Span) -> Span | None:
-    """Without punctuation and conjunctions at the ends; None if nothing is left."""
-    first, last = span
-    while first <= last and (not has_word(doc[first].text) or doc[first].dep_ == "cc"):
-        first += 1
-    while first <= last and (not has_word(doc[last].text) or doc[last].dep_ == "cc"):
-        last -= 1
-    return (first, last) if first <= last else None
-
-
-def adverb_role(token: Token) -> str:
-    """Of an adverb, by its own word, then by its ending."""
-    word = token.lower_
-    for role, known in (
-        ("ARGM-DIR", words.DIRECTION_ADVERBS),
-        ("ARGM-TMP", words.TIME_ADVERBS),
-        ("ARGM-LOC", words.PLACE_ADVERBS),
-        ("ARGM-ADV", words.DISCOURSE_ADVERBS),
-        ("OTHERS", words.OTHER_ADVERBS),
-        ("ARGM-MNR", words.MANNER_ADVERBS),
-    ):
-        if word in known:
-            return role
-    return "ARGM-MNR" if word.endswith(("ly", "wise")) else "ARGM-ADV"
-
-
-def endpoint_role(token: Token, head: Token) -> str | None:
-    """Numbered roles of verbs of travel and transfer: ARG3 where from, ARG4 where to, ARG2 onto what."""
-    below = {word.lemma_.lower() for word in words_below(token)}
-    if below & (words.SIDE_NOUNS | words.WAYS):
-        return None
-    verb, word = head.lemma_.lower(), token.lower_
-    if verb in words.TRAVEL and word in ("from", "to"):
-        return "ARG3" if word == "from" else "ARG4"
-    return (
-        "ARG2" if verb in words.TRANSFER and word in ("to", "on", "onto", "in", "into", "from", "at", "with") else None
-    )
-
-
-def prepositional_role(token: Token) -> str:
-    """Of a prepositional phrase, by its preposition and its object."""
-    word = token.lower_
-    below = {word.lemma_.lower() for word in words_below(token)} - {word}
-    if word in ("in", "at", "with", "without", "on") and below & words.CIRCLE_NOUNS and word != "on":
-        return "ARGM-MNR"
-    if word in ("in", "at", "on", "by") and below & words.WAYS:
-        return "ARGM-MNR"
-    if word in ("to", "on", "at", "from") and below & words.SIDE_NOUNS:
-        return "ARGM-DIR" if word != "on" else "ARGM-LOC"
-    if below & words.TIME_NOUNS and word in ("for", "at", "in", "after", "before", "of"):
-        return "ARGM-TMP"
-    if word in words.DIRECTION_PREPOSITIONS:
-        return "ARGM-DIR"
-    if word in words.MANNER_PREPOSITIONS:
-        return "ARGM-MNR"
-    if word in words.TIME_PREPOSITIONS:
-        return "ARGM-TMP" if word != "for" else "ARGM-ADV"
-    return "ARGM-LOC" if word in words.PLACE_PREPOSITIONS else "ARGM-ADV"
-
-
-def clause_role(token: Token) -> str:
-    """Of an adverbial clause, by its marker."""
-    markers = {child.lower_ for child in token.children if child.dep_ in ("mark", "advmod")}
-    if markers & {"if", "though"} and "as" in markers | {child.lower_ for child in token.lefts}:
-        return "ARGM-MNR"
-    if markers & words.TIME_MARKERS:
-        return "ARGM-TMP"
-    if any(child.tag_ == "TO" for child in token.children):
-        return "OTHERS"
-    return "ARGM-MNR" if token.lemma_.lower() in words.STATIVE | {"show", "lack", "act", "use"} else "ARGM-ADV"
-
-
-def noun_adverb_role(token: Token) -> str:
-    """Of a bare noun phrase used as an adverb: how often, which way, how far."""
-    word = token.lemma_.lower()
-    if word in words.TIME_NOUNS:
-        return "ARGM-TMP"
-    if word in words.SIDE_NOUNS | words.DIRECTION_ADVERBS:
-        return "ARGM-DIR"
-    return "ARGM-MNR" if word in words.MANNER_NOUNS and word != "step" else "OTHERS"
-
-
-SUBJECTS = frozenset(("nsubj", "csubj", "expl"))
-PASSIVE_SUBJECTS = frozenset(("nsubjpass", "csubjpass"))
-SILENT = frozenset(("aux", "auxpass", "punct", "mark", "cc", "conj", "preconj", "case", "det", "parataxis", "dep"))
-CONTENT = frozenset(("NOUN", "PROPN", "ADJ", "ADV", "NUM", "VERB", "ADP", "SYM", "X", "INTJ", "PRON"))
-
-
-@dataclass
-class Frame:
-    """One action with its arguments while they are collected."""
-
-    head: Token
-    arguments: list[tuple[str, Span]] = field(default_factory=list)
-    others: list[tuple[str, Span]] | None = None
-    """What else could be one, the likeliest first; None without a model that could tell."""
-
-    def add(self, role: str, span: Span | None) -> None:
-        """Take an argument unless the same words are there already."""
-        if span is not None and span not in [known for _, known in self.arguments]:
-            self.arguments.append((role, span))
-
-
-def frame(head: Token) -> Frame:
-    """An action with all arguments its own subtree gives."""
-    found = Frame(head)
-    if head.dep_ == "auxpass":
-        found.add("ARG1", subject_span(head.head))
-        found.add("ARG2", trimmed(head.doc, (head.head.i, _own_end(head.head))))
-        return found
-    if describes_mover(head):
-        found.add("ARG0", (head.head.i, head.head.i))
-    subject = subject_span(head)
-    has_object = any(child.dep_ == "dobj" for child in head.children)
-    if subject is not None:
-        found.add(subject_role(head, has_object), subject)
-    objects = [child for child in head.children if child.dep_ == "dobj"]
-    for child in head.children:
-        for role, span in _argument(child, head):
-            found.add(role, _listed(objects) if child in objects else span)
-    if not has_object:
-        found.add("ARG1", _shared_object(head))
-    return found
-
-
-def _listed(objects: list[Token]) -> Span | None:
-    """The object, or several as one where nothing but commas parts them ("the knees, the hips and the elbows")."""
-    spans = [span for span in map(phrase, objects) if span is not None]
-    for (_, end), (start, _) in pairwise(spans):
-        if objects[0].doc[end + 1].text not in (",", "and") or start != end + 2:
-            return phrase(objects[-1])
-    return (spans[0][0], spans[-1][1]) if spans else None
-
-
-def _shared_object(head: Token) -> Span | None:
-    """ "raises and lowers the hand": the object of the verb that follows at once."""
-    if head.lemma_.lower() not in words.TRANSITIVE:
-        return None
-    for child in head.rights:
-        if child.dep_ == "conj" and child.i == head.i + 2 and head.nbor().dep_ == "cc":
-            return next((phrase(below) for below in child.children if below.dep_ == "dobj"), None)
-    return None
-
-
-def _own_end(head: Token) -> int:
-    """Last word of a verb's phrase, before other verbs that are coordinated with it."""
-    joined = [child.i for child in head.rights if child.dep_ in ("cc", "conj")]
-    return min(joined) - 1 if joined else int(head.right_edge.i)
-
-
-def subject_role(head: Token, has_object: bool) -> str:
-    """ARG1 for passives and for motion that happens by itself, else ARG0."""
-    undergoes = head.lemma_.lower() in words.UNACCUSATIVE | words.STATIVE and not has_object
-    return "ARG1" if is_passive(head) or undergoes else "ARG0"
 
 
 def is_passive(head: Token) -> bool:
-    """Whether the verb's subject is what it is done to."""
+    """Tell whether a verb is in the passive voice."""
     return any(child.dep_ in PASSIVE_SUBJECTS | {"auxpass"} for child in head.children)
 
 
 def is_certain(head: Token, span: Span) -> bool:
-    """Negations, and agents behind "by": no annotated captions have enough of them to learn from."""
+    """Tell whether an argument is a negation or the agent of a passive.
+
+    The rules find these reliably, and annotated captions have too few of them to learn from.
+    """
     return any(child.dep_ in ("neg", "agent") and span[0] <= child.i <= span[1] for child in head.children)
 
 
+# Frames
+
+
+@dataclass
+class PredicateFrame:
+    """An action and its arguments as (role, span), while they are collected."""
+
+    head: Token
+    """The verb."""
+    arguments: list[tuple[str, Span]] = field(default_factory=list)
+    ranked: list[tuple[str, Span]] | None = None
+    """All candidates of the argument classifier, the likeliest first; None if the rules stand alone."""
+
+    def add(self, role: str, span: Span | None) -> None:
+        """Add an argument, unless there is no span or the same span is an argument already."""
+        if span is not None and span not in [known for _, known in self.arguments]:
+            self.arguments.append((role, span))
+
+
+def build_frame(head: Token) -> PredicateFrame:
+    """Collect the arguments of an action: its subject, its objects and its modifiers."""
+    frame = PredicateFrame(head)
+    if head.dep_ == "auxpass":
+        frame.add("ARG1", subject_span(head.head))
+        frame.add("ARG2", trim_in_doc(head.doc, (head.head.i, _verb_phrase_end(head.head))))
+        return frame
+    if is_subject_participle(head):
+        frame.add("ARG0", (head.head.i, head.head.i))
+    objects = [child for child in head.children if child.dep_ == "dobj"]
+    subject = subject_span(head)
+    if subject is not None:
+        frame.add(subject_role(head, bool(objects)), subject)
+    for child in head.children:
+        for role, span in _arguments_of_child(child, head):
+            frame.add(role, _object_list_span(objects) if child in objects else span)
+    if not objects:
+        frame.add("ARG1", _shared_object_span(head))
+    return frame
+
+
+def _arguments_of_child(child: Token, head: Token) -> Iterator[tuple[str, Span | None]]:
+    """Yield the arguments that one dependent of a verb gives; most give one."""
+    label = child.dep_
+    if label in SUBJECTS | PASSIVE_SUBJECTS or is_run_on_clause(child, head):
+        return
+    if label in NON_ARGUMENTS and not _is_unlabelled_content(child):
+        return
+    if label in ("dobj", "ccomp", "xcomp", "oprd", "acomp", "attr"):
+        role = "ARG2" if label in ("acomp", "attr", "oprd") and head.lemma_.lower() == "be" else "ARG1"
+        if child.lower_ in lexicon.DIRECTION_ADVERBS:
+            role = "ARGM-DIR"
+        yield role, phrase_span(child)
+    elif label == "dative":
+        yield "ARG2", phrase_span(child)
+    elif label == "agent":
+        yield "ARG0", phrase_span(child)
+    elif label == "prt":
+        yield "ARGM-DIR", phrase_span(child)
+    elif label == "prep":
+        yield from _prepositional_arguments(child, head)
+    elif label == "advmod":
+        yield adverb_role(child), phrase_span(child)
+    elif label == "advcl":
+        yield clause_role(child), phrase_span(child)
+    elif label == "npadvmod":
+        yield noun_adverb_role(child), phrase_span(child)
+    elif label == "neg":
+        yield "OTHERS", phrase_span(child)
+    elif label not in NOUN_CLAUSES:
+        yield "ARGM-ADV", phrase_span(child)
+
+
+def _is_unlabelled_content(token: Token) -> bool:
+    """Tell whether a token is a content word whose relation the parser left open ("dep")."""
+    return token.dep_ == "dep" and token.pos_ in CONTENT_POS and not is_action(token)
+
+
+def _prepositional_arguments(child: Token, head: Token) -> Iterator[tuple[str, Span | None]]:
+    """Yield a prepositional phrase, or two where the parse nests them ("from the door to the wall")."""
+    role, span = endpoint_role(child, head) or prepositional_role(child), phrase_span(child)
+    goals = [token for token in child.subtree if token.dep_ == "prep" and token.lower_ == "to"]
+    if child.lower_ == "from" and goals and span is not None:
+        yield role, trim_in_doc(child.doc, (span[0], goals[0].left_edge.i - 1))
+        yield endpoint_role(goals[0], head) or prepositional_role(goals[0]), phrase_span(goals[0])
+    else:
+        yield role, span
+
+
+def _object_list_span(objects: list[Token]) -> Span | None:
+    """Join direct objects with only a comma or "and" between them ("the knees, the hips"), else take the last."""
+    spans = [span for span in map(phrase_span, objects) if span is not None]
+    for (_, end), (start, _) in pairwise(spans):
+        if objects[0].doc[end + 1].text not in (",", "and") or start != end + 2:
+            return phrase_span(objects[-1])
+    return (spans[0][0], spans[-1][1]) if spans else None
+
+
+def _shared_object_span(head: Token) -> Span | None:
+    """Find the object of the verb coordinated right behind this one ("raises and lowers the hand")."""
+    if head.lemma_.lower() not in lexicon.TRANSITIVE:
+        return None
+    for child in head.rights:
+        if child.dep_ == "conj" and child.i == head.i + 2 and head.nbor().dep_ == "cc":
+            return next((phrase_span(token) for token in child.children if token.dep_ == "dobj"), None)
+    return None
+
+
+def _verb_phrase_end(head: Token) -> int:
+    """Find the last token of a verb's phrase before the verbs coordinated with it."""
+    coordinated = [child.i for child in head.rights if child.dep_ in ("cc", "conj")]
+    return min(coordinated) - 1 if coordinated else int(head.right_edge.i)
+
+
+# Subjects
+
+
 def subject_span(head: Token) -> Span | None:
-    """The subject of an action: its own, the noun it modifies, or that of the action it depends on."""
+    """Find the subject of an action: its own, the noun it modifies, or that of the action it depends on."""
     span = own_subject_span(head)
     for child in head.lefts:
-        if span is None and run_on(child, head):
-            # only its own: looking further up from there leads back here
+        if span is None and is_run_on_clause(child, head):
+            # Only its own subject: searching further up from there leads back here.
             span = own_subject_span(child)
     if span is not None:
         return span
-    if head.dep_ in CLAUSES and head.head.pos_ in ("NOUN", "PROPN", "PRON"):
-        return phrase(head.head)
+    if head.dep_ in NOUN_CLAUSES and head.head.pos_ in ("NOUN", "PROPN", "PRON"):
+        return phrase_span(head.head)
     if head.dep_ in ("conj", "xcomp", "advcl", "pcomp", "ccomp", "dep", "prep") and head.head.i != head.i:
         above = head.head
         while not is_action(above) and above.head.i != above.i:
@@ -268,59 +209,136 @@ def subject_span(head: Token) -> Span | None:
 
 
 def own_subject_span(head: Token) -> Span | None:
-    """The subject among an action's own dependents."""
+    """Find the subject among an action's own dependents."""
     for child in head.children:
         if child.dep_ in SUBJECTS | PASSIVE_SUBJECTS:
-            relative = child.tag_ in ("WP", "WDT") and head.dep_ == "relcl"
-            return phrase(head.head) if relative else phrase(child)
+            is_relative = child.tag_ in ("WP", "WDT") and head.dep_ == "relcl"
+            return phrase_span(head.head) if is_relative else phrase_span(child)
     return None
 
 
-def run_on(child: Token, head: Token) -> bool:
-    """ "someone runs, then bows" is taken for "bows (that) someone runs"."""
+def is_run_on_clause(child: Token, head: Token) -> bool:
+    """Tell whether the parse takes "someone runs, then bows" for "bows (that) someone runs"."""
     return child.dep_ == "ccomp" and child.i < head.i and is_action(child)
 
 
-def _argument(child: Token, head: Token) -> Iterator[tuple[str, Span | None]]:
-    relation = child.dep_
-    if relation in SUBJECTS | PASSIVE_SUBJECTS or (relation in SILENT and not _stray(child)) or run_on(child, head):
-        return
-    if relation in ("dobj", "ccomp", "xcomp", "oprd", "acomp", "attr"):
-        role = "ARG2" if relation in ("acomp", "attr", "oprd") and head.lemma_.lower() == "be" else "ARG1"
-        if child.lower_ in words.DIRECTION_ADVERBS:
-            role = "ARGM-DIR"
-        yield role, phrase(child)
-    elif relation == "dative":
-        yield "ARG2", phrase(child)
-    elif relation == "agent":
-        yield "ARG0", phrase(child)
-    elif relation == "prt":
-        yield "ARGM-DIR", phrase(child)
-    elif relation == "prep":
-        yield from _prepositional(child, head)
-    elif relation == "advmod":
-        yield adverb_role(child), phrase(child)
-    elif relation == "advcl":
-        yield clause_role(child), phrase(child)
-    elif relation == "npadvmod":
-        yield noun_adverb_role(child), phrase(child)
-    elif relation == "neg":
-        yield "OTHERS", phrase(child)
-    elif relation not in CLAUSES:
-        yield "ARGM-ADV", phrase(child)
+# Roles
 
 
-def _stray(token: Token) -> bool:
-    """A word with content under a relation that normally carries none."""
-    return token.dep_ == "dep" and token.pos_ in CONTENT and not is_action(token)
+def subject_role(head: Token, has_object: bool) -> str:
+    """Choose ARG1 for subjects of passives and of verbs such as "fall", which undergo the motion, else ARG0."""
+    undergoes = head.lemma_.lower() in lexicon.UNACCUSATIVE | lexicon.STATIVE and not has_object
+    return "ARG1" if is_passive(head) or undergoes else "ARG0"
 
 
-def _prepositional(child: Token, head: Token) -> Iterator[tuple[str, Span | None]]:
-    """ "from the door to the wall" is taken for one phrase; it is two."""
-    role, span = endpoint_role(child, head) or prepositional_role(child), phrase(child)
-    ends = [below for below in child.subtree if below.dep_ == "prep" and below.lower_ == "to"]
-    if child.lower_ == "from" and ends and span is not None:
-        yield role, trimmed(child.doc, (span[0], ends[0].left_edge.i - 1))
-        yield endpoint_role(ends[0], head) or prepositional_role(ends[0]), phrase(ends[0])
-    else:
-        yield role, span
+def adverb_role(token: Token) -> str:
+    """Choose the role of an adverb by the word lists, then by its ending."""
+    word = token.lower_
+    for role, adverbs in (
+        ("ARGM-DIR", lexicon.DIRECTION_ADVERBS),
+        ("ARGM-TMP", lexicon.TIME_ADVERBS),
+        ("ARGM-LOC", lexicon.PLACE_ADVERBS),
+        ("ARGM-ADV", lexicon.DISCOURSE_ADVERBS),
+        ("OTHERS", lexicon.OTHER_ADVERBS),
+        ("ARGM-MNR", lexicon.MANNER_ADVERBS),
+    ):
+        if word in adverbs:
+            return role
+    return "ARGM-MNR" if word.endswith(("ly", "wise")) else "ARGM-ADV"
+
+
+def endpoint_role(token: Token, head: Token) -> str | None:
+    """Choose the numbered role of a preposition after a verb of travel or transfer; None if it bears none.
+
+    After travel, ARG3 is the start and ARG4 the goal. After transfer, ARG2 is the recipient or the place.
+    """
+    lemmas = {below.lemma_.lower() for below in phrase_tokens(token)}
+    if lemmas & (lexicon.SIDE_NOUNS | lexicon.WAYS):
+        return None
+    verb, preposition = head.lemma_.lower(), token.lower_
+    if verb in lexicon.TRAVEL and preposition in ("from", "to"):
+        return "ARG3" if preposition == "from" else "ARG4"
+    is_transfer = verb in lexicon.TRANSFER and preposition in ("to", "on", "onto", "in", "into", "from", "at", "with")
+    return "ARG2" if is_transfer else None
+
+
+def prepositional_role(token: Token) -> str:
+    """Choose the role of a prepositional phrase by its preposition and its object."""
+    preposition = token.lower_
+    lemmas = {below.lemma_.lower() for below in phrase_tokens(token)} - {preposition}
+    if preposition in ("in", "at", "with", "without") and lemmas & lexicon.CIRCLE_NOUNS:
+        return "ARGM-MNR"
+    if preposition in ("in", "at", "on", "by") and lemmas & lexicon.WAYS:
+        return "ARGM-MNR"
+    if preposition in ("to", "on", "at", "from") and lemmas & lexicon.SIDE_NOUNS:
+        return "ARGM-DIR" if preposition != "on" else "ARGM-LOC"
+    if lemmas & lexicon.TIME_NOUNS and preposition in ("for", "at", "in", "after", "before", "of"):
+        return "ARGM-TMP"
+    if preposition in lexicon.DIRECTION_PREPOSITIONS:
+        return "ARGM-DIR"
+    if preposition in lexicon.MANNER_PREPOSITIONS:
+        return "ARGM-MNR"
+    if preposition in lexicon.TIME_PREPOSITIONS:
+        return "ARGM-TMP" if preposition != "for" else "ARGM-ADV"
+    return "ARGM-LOC" if preposition in lexicon.PLACE_PREPOSITIONS else "ARGM-ADV"
+
+
+def clause_role(token: Token) -> str:
+    """Choose the role of an adverbial clause by the word that opens it, then by its verb."""
+    markers = {child.lower_ for child in token.children if child.dep_ in ("mark", "advmod")}
+    if markers & {"if", "though"} and "as" in markers | {child.lower_ for child in token.lefts}:
+        return "ARGM-MNR"
+    if markers & lexicon.TIME_MARKERS:
+        return "ARGM-TMP"
+    if any(child.tag_ == "TO" for child in token.children):
+        return "OTHERS"
+    return "ARGM-MNR" if token.lemma_.lower() in lexicon.STATIVE | {"show", "lack", "act", "use"} else "ARGM-ADV"
+
+
+def noun_adverb_role(token: Token) -> str:
+    """Choose the role of a bare noun phrase used as an adverb: how often, which way, how far."""
+    lemma = token.lemma_.lower()
+    if lemma in lexicon.TIME_NOUNS:
+        return "ARGM-TMP"
+    if lemma in lexicon.SIDE_NOUNS | lexicon.DIRECTION_ADVERBS:
+        return "ARGM-DIR"
+    return "ARGM-MNR" if lemma in lexicon.MANNER_NOUNS and lemma != "step" else "OTHERS"
+
+
+# Phrases
+
+
+def phrase_span(token: Token) -> Span | None:
+    """Find the contiguous part of a token's phrase around it, without fillers at the ends."""
+    indices = {below.i for below in phrase_tokens(token)}
+    first = last = token.i
+    while first - 1 in indices:
+        first -= 1
+    while last + 1 in indices:
+        last += 1
+    return trim_in_doc(token.doc, (first, last))
+
+
+def phrase_tokens(token: Token) -> list[Token]:
+    """List the subtree of a token without clauses that are actions of their own and without coordinated verbs."""
+    tokens = [token]
+    for child in token.children:
+        if child.dep_ in NOUN_CLAUSES or (child.dep_ == "punct" and child.i == token.right_edge.i):
+            continue
+        if child.dep_ in ("conj", "cc") and (token.pos_ in ("VERB", "AUX") or _coordinates_action(child, token)):
+            continue
+        tokens += phrase_tokens(child)
+    return tokens
+
+
+def _coordinates_action(child: Token, parent: Token) -> bool:
+    """Tell whether a conjunct, or the first conjunct behind a conjunction, is an action."""
+    if child.dep_ == "conj":
+        return is_action(child)
+    later = [sibling for sibling in parent.children if sibling.dep_ == "conj" and sibling.i > child.i]
+    return bool(later) and is_action(later[0])
+
+
+def trim_in_doc(doc: Any, span: Span) -> Span | None:
+    """Drop fillers at the ends of a span of a spaCy document; None if nothing is left."""
+    return trim_span(span, lambda index: is_filler(doc[index].text, doc[index].dep_))

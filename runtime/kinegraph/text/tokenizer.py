@@ -1,4 +1,4 @@
-"""Word pieces with the characters they came from."""
+"""WordPiece tokenizer of the text encoder, with character offsets."""
 
 from __future__ import annotations
 
@@ -14,18 +14,18 @@ from kinegraph.limits import MAX_PIECES
 
 @dataclass(frozen=True)
 class TokenIds:
-    """One caption as T word pieces, special ones included."""
+    """Word pieces of one caption: T of them, special ones included."""
 
     ids: IntArray
-    """(T,)."""
+    """(T,) numbers in the vocabulary."""
     mask: IntArray
-    """(T,) ones."""
+    """(T,) attention mask, all ones."""
     offsets: IntArray
-    """(T, 2) start and end in characters of the caption; (0, 0) for special pieces."""
+    """(T, 2) start and end in characters of the caption, end exclusive; (0, 0) for special pieces."""
 
 
 class CaptionTokenizer:
-    """The tokenizer a bundle carries; safe to share between threads.
+    """Caption to `TokenIds`, by the tokenizer of a bundle; safe to share between threads.
 
     Raises:
         MissingExtraError: the package `tokenizers` is not installed.
@@ -41,20 +41,20 @@ class CaptionTokenizer:
             self._tokenizer = Tokenizer.from_str(tokenizer_json.decode("utf-8"))
         except Exception as error:
             raise BundleFormatError(f"tokenizer.json is not a tokenizer: {error}") from error
-        # the file may ask for both; captions are bounded elsewhere and a batch of one needs no padding
+        # The file may switch both on. `encode` refuses long captions instead, and a batch of one needs no padding.
         self._tokenizer.no_truncation()
         self._tokenizer.no_padding()
 
     def encode(self, text: str) -> TokenIds:
-        """Pieces of a caption; T is at least 2.
+        """Split a caption into at least two word pieces.
 
         Raises:
-            InvalidInputError: half a surrogate pair, or more pieces than the text encoder has positions.
+            InvalidInputError: the caption has an unpaired surrogate, or more pieces than the encoder has positions.
         """
         check_unicode(text)
         encoding = self._tokenizer.encode(text)
         if len(encoding.ids) > MAX_PIECES:
-            # Cut off silently, the end of the sentence would not be obeyed.
+            # Truncation would silently ignore the end of the sentence.
             raise InvalidInputError(
                 f"the caption makes {len(encoding.ids)} word pieces, at most {MAX_PIECES} fit; shorten it"
             )
@@ -66,14 +66,23 @@ class CaptionTokenizer:
 
 
 def check_unicode(text: str) -> None:
-    """Refuse half a surrogate pair, which no UTF-8 holds: what is left of bytes that were not text."""
+    """Refuse unpaired surrogates: they have no UTF-8 encoding, and come from decoding bytes that are not text."""
     try:
         text.encode("utf-8")
     except UnicodeEncodeError as error:
-        shown = ascii(text[error.start])
-        raise InvalidInputError(f"character {error.start + 1} of the caption is {shown}, which is no text") from None
+        escaped = ascii(text[error.start])
+        raise InvalidInputError(f"character {error.start + 1} of the caption is {escaped}, which is no text") from None
 
 
 def span_mask(offsets: IntArray, start: int, end: int) -> NDArray[np.bool_]:
-    """(T,) True for pieces that share a character with [start, end); special pieces never do."""
+    """Mark the word pieces that share a character with a span; special pieces never do.
+
+    Args:
+        offsets: (T, 2) characters of the pieces, see `TokenIds`.
+        start: first character of the span.
+        end: one past its last character.
+
+    Returns:
+        (T,) True where a piece overlaps the span.
+    """
     return (offsets[:, 0] < end) & (offsets[:, 1] > start) & (offsets[:, 1] > offsets[:, 0])

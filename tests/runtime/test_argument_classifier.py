@@ -1,4 +1,4 @@
-"""The linear model of arguments: its file, its scores, the best set of spans, and any text through it."""
+"""The argument classifier: its file, its scores, the best set of spans, and whole graphs for any text."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ from kinegraph.graph import ARGUMENT_ROLES
 from kinegraph.limits import MAX_NODES
 from kinegraph.text.argument_classifier import (
     CLASSES,
+    ArgumentCandidates,
     ArgumentClassifier,
-    Candidates,
-    packed,
-    provenance_of,
+    pack_weights,
+    read_provenance,
     weighted_interval_scheduling,
 )
 
@@ -28,11 +28,11 @@ FILE = Path(kinegraph.__file__).parent / "bundles" / "default" / "parser.bin"
 
 
 def weights_for(**roles: str) -> bytes:
-    """Each feature speaks for one role."""
+    """Weights under which each feature votes for one role."""
     table = np.zeros((len(roles), CLASSES), dtype=np.float32)
     for row, role in enumerate(roles.values()):
         table[row, ARGUMENT_ROLES.index(role) + 1] = 8.0
-    return packed(list(roles), table, "made by hand")
+    return pack_weights(list(roles), table, "made by hand")
 
 
 @settings(deadline=None)
@@ -42,38 +42,38 @@ def weights_for(**roles: str) -> bytes:
         max_size=9,
     )
 )
-def test_the_best_set_of_spans_is_that_of_trying_all(rows: list[tuple[int, int, int]]) -> None:
+def test_scheduling_finds_the_best_set_of_all_sets_of_spans(rows: list[tuple[int, int, int]]) -> None:
     spans, gains = [row[:2] for row in rows], [float(row[2]) for row in rows]
     chosen = weighted_interval_scheduling(spans, gains)
     most = 0.0
     for size in range(len(rows) + 1):
-        for places in combinations(range(len(rows)), size):
-            apart = all(spans[a][1] < spans[b][0] or spans[b][1] < spans[a][0] for a, b in combinations(places, 2))
-            most = max(most, sum(gains[place] for place in places)) if apart else most
-    assert sum(gains[place] for place in chosen) == most
+        for indices in combinations(range(len(rows)), size):
+            apart = all(spans[a][1] < spans[b][0] or spans[b][1] < spans[a][0] for a, b in combinations(indices, 2))
+            most = max(most, sum(gains[index] for index in indices)) if apart else most
+    assert sum(gains[index] for index in chosen) == most
     assert all(spans[a][1] < spans[b][0] for a, b in pairwise(chosen))
 
 
-def test_scores_are_sums_and_unknown_features_count_nothing() -> None:
-    ranker = ArgumentClassifier(weights_for(who="ARG0", where="ARGM-LOC"))
-    scores = ranker.scores([["who", "never seen"], [], ["who", "where"]])
+def test_scores_are_sums_and_unknown_features_are_ignored() -> None:
+    classifier = ArgumentClassifier(weights_for(who="ARG0", where="ARGM-LOC"))
+    scores = classifier.scores([["who", "never seen"], [], ["who", "where"]])
     assert scores[0, ARGUMENT_ROLES.index("ARG0") + 1] == 8.0
     assert not scores[1].any()
     assert scores[2].sum() == 16.0
 
 
-def test_spans_that_overlap_are_not_both_taken() -> None:
-    ranker = ArgumentClassifier(weights_for(who="ARG0", where="ARGM-LOC"))
-    found = Candidates([(0, 1, 1), (1, 3, 2), (5, 6, 5)], [["who"], ["where", "where"], ["where"]])
-    choice = ranker.choose(found)
-    assert choice.taken == [("ARGM-LOC", (1, 3)), ("ARGM-LOC", (5, 6))]
+def test_overlapping_spans_are_not_both_chosen() -> None:
+    classifier = ArgumentClassifier(weights_for(who="ARG0", where="ARGM-LOC"))
+    spans = [(0, 1, 1), (1, 3, 2), (5, 6, 5)]
+    choice = classifier.choose(ArgumentCandidates(spans, [["who"], ["where", "where"], ["where"]]))
+    assert choice.chosen == [("ARGM-LOC", (1, 3)), ("ARGM-LOC", (5, 6))]
     assert [span for _, span in choice.ranked] == [(1, 3), (0, 1), (5, 6)]
 
 
-def test_a_file_is_the_same_for_the_same_weights_and_names_its_source() -> None:
+def test_equal_weights_give_equal_files_that_name_their_provenance() -> None:
     data = weights_for(who="ARG0")
     assert data == weights_for(who="ARG0")
-    assert provenance_of(data) == "made by hand"
+    assert read_provenance(data) == "made by hand"
 
 
 def npz(**changes: np.ndarray) -> bytes:
@@ -101,18 +101,16 @@ def npz(**changes: np.ndarray) -> bytes:
         npz(names=np.array([{}], dtype=object)),
     ],
 )
-def test_bytes_that_are_no_weights_are_refused(data: bytes) -> None:
+def test_bytes_without_weights_are_refused(data: bytes) -> None:
     with pytest.raises(BundleFormatError):
         ArgumentClassifier(data)
     assert ArgumentClassifier(npz()).scores([["a"]]).shape == (1, CLASSES)
 
 
 @pytest.fixture(scope="module")
-def wild() -> object:
-    """A parser whose weights are noise: whatever it chooses, graphs must be whole."""
+def noisy_parser() -> object:
+    """A parser with random weights: whatever it chooses, graphs must be valid."""
     pytest.importorskip("spacy")
-    if not FILE.is_file():
-        pytest.skip("no default bundle")
     from kinegraph.text.parser import GraphParser
 
     names = [
@@ -120,7 +118,7 @@ def wild() -> object:
         *(f"d:{dep}" for dep in ("nsubj", "dobj", "prep", "advmod", "pobj", "conj", "ROOT", "dep", "punct")),
     ]
     table = np.random.Generator(np.random.PCG64(0)).normal(0, 3, (len(names), CLASSES)).astype(np.float32)
-    return GraphParser(FILE.read_bytes(), packed(names, table, ""))
+    return GraphParser(FILE.read_bytes(), pack_weights(names, table, ""))
 
 
 WORDS = st.sampled_from(
@@ -147,15 +145,15 @@ WORDS = st.sampled_from(
 
 @settings(max_examples=200, deadline=None)
 @given(st.one_of(st.text(max_size=40), st.lists(WORDS, min_size=1, max_size=30).map(" ".join)))
-def test_any_text_gives_a_whole_graph_or_a_typed_error(wild: object, text: str) -> None:
+def test_any_text_gives_a_valid_graph_or_a_typed_error(noisy_parser: object, text: str) -> None:
     try:
-        graph = wild.parse(text)  # type: ignore[attr-defined]
+        graph = noisy_parser.parse(text)  # type: ignore[attr-defined]
     except InvalidInputError:
         return
     assert graph.caption == text
     assert graph.actions
     assert graph.node_count <= MAX_NODES
-    assert graph == wild.parse(text)  # type: ignore[attr-defined]
+    assert graph == noisy_parser.parse(text)  # type: ignore[attr-defined]
     for action in graph.actions:
         for part in action.arguments:
             assert text[part.start : part.end] == part.text.strip() != ""
