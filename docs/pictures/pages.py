@@ -11,7 +11,7 @@ from urllib.parse import urlencode
 from playwright.sync_api import Browser, sync_playwright
 
 from kinegraph import MotionPipeline
-from kinegraph.formats.html import page as page_of
+from kinegraph.formats.html import clips_page as page_of
 from kinegraph.playground.app import Playground
 from kinegraph.playground.server import Server, listen, warm_up
 

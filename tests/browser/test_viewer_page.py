@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from kinegraph.clip import Clip
-from kinegraph.formats.html import page as page_of
+from kinegraph.formats.html import clips_page as page_of
 from support.browsing import Open, changed, shown, time_of, wait_until
 from support.cli_runs import whole
 from support.motions import walk

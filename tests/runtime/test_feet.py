@@ -8,15 +8,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from kinegraph.motion.postprocess import (
-    FURTHEST,
-    PER_JERK,
-    RAMP,
-    SIDES,
-    STRETCHED,
-    _shifts,
-    contacts,
+    LEGS,
+    MAX_CORRECTION,
+    MAX_EXTENSION,
+    METRES_PER_JERK,
+    RAMP_SECONDS,
+    _toe_corrections,
+    find_contacts,
     lock_feet,
-    two_bones,
+    two_bone_ik,
 )
 from kinegraph.motion.skeleton import JOINT_INDEX, bone_lengths
 from support.motions import recorded, walk
@@ -37,7 +37,7 @@ def slides(joints: np.ndarray, original: np.ndarray) -> float:
     """Mean speed of toes, m/s, within the contacts of the original."""
     speeds = []
     for toe in TOES:
-        for start, end in contacts(original[:, toe].astype(np.float64), FPS):
+        for start, end in find_contacts(original[:, toe].astype(np.float64), FPS):
             speeds += (np.linalg.norm(np.diff(joints[start:end, toe][:, [0, 2]], axis=0), axis=-1) * FPS).tolist()
     return float(np.mean(speeds))
 
@@ -54,11 +54,11 @@ def test_recorded_feet_slide_less_and_nothing_else_changes() -> None:
     for joints in recorded(count=20):
         fixed = lock_feet(joints, FPS)
         np.testing.assert_allclose(bone_lengths(fixed), bone_lengths(joints), atol=1e-4)
-        legs = [joint for side in SIDES for joint in side[1:]]
+        legs = [joint for side in LEGS for joint in side[1:]]
         above = [joint for joint in range(22) if joint not in legs]
         np.testing.assert_array_equal(fixed[:, above], joints[:, above])
-        assert np.linalg.norm(fixed - joints, axis=-1).max() < 2 * FURTHEST
-        found = [bool(contacts(joints[:, toe].astype(np.float64), FPS)) for toe in TOES]
+        assert np.linalg.norm(fixed - joints, axis=-1).max() < 2 * MAX_CORRECTION
+        found = [bool(find_contacts(joints[:, toe].astype(np.float64), FPS)) for toe in TOES]
         if any(found):
             assert slides(fixed, joints) <= slides(joints, joints) + 1e-6
 
@@ -76,8 +76,8 @@ def stepping() -> np.ndarray:
 
 def test_beside_a_contact_the_toe_takes_the_path_of_least_jerk() -> None:
     toe = stepping()
-    shift = _shifts(toe, FPS)
-    held, ramp = contacts(toe, FPS), round(RAMP * FPS)
+    shift = _toe_corrections(toe, FPS)
+    held, ramp = find_contacts(toe, FPS), round(RAMP_SECONDS * FPS)
     assert len(held) == 2
     for start, end in held:
         np.testing.assert_allclose(np.diff((toe + shift)[start:end, [0, 2]], axis=0), 0.0, atol=1e-12)
@@ -88,7 +88,7 @@ def test_beside_a_contact_the_toe_takes_the_path_of_least_jerk() -> None:
     def cost(correction: np.ndarray) -> float:
         x = np.concatenate([toe[:, [0, 2]] + correction[:, [0, 2]]])
         third = (x[3:] - 3 * x[2:-1] + 3 * x[1:-2] - x[:-3]) * FPS**3
-        return float((third**2).sum() + (correction[free] ** 2).sum() / PER_JERK**2)
+        return float((third**2).sum() + (correction[free] ** 2).sum() / METRES_PER_JERK**2)
 
     rng = np.random.default_rng(0)
     for size in (1e-2, 1e-3, 1e-4):
@@ -104,7 +104,7 @@ def test_recorded_legs_jerk_no_more_than_before() -> None:
 
 
 def jerk(joints: np.ndarray) -> float:
-    legs = [joint for side in SIDES for joint in side[1:]]
+    legs = [joint for side in LEGS for joint in side[1:]]
     return float(np.linalg.norm(np.diff(joints[:, legs].astype(np.float64), n=3, axis=0), axis=-1).mean())
 
 
@@ -113,11 +113,11 @@ def test_a_contact_is_slow_low_and_long_enough() -> None:
     toe[20:40, 2] = np.linspace(0, 1.5, 20)  # 1.5 m in a second: a step
     toe[40:, 2] = 1.5
     toe[20:40, 1] = 0.1
-    assert [(start <= 1, 18 <= end <= 21) for start, end in contacts(toe, FPS)[:1]] == [(True, True)]
-    assert contacts(toe, FPS)[1][1] == 60 and len(contacts(toe, FPS)) == 2
+    assert [(start <= 1, 18 <= end <= 21) for start, end in find_contacts(toe, FPS)[:1]] == [(True, True)]
+    assert find_contacts(toe, FPS)[1][1] == 60 and len(find_contacts(toe, FPS)) == 2
     toe[5:15, 1] = 0.5  # in the air, however slow
-    assert all(end - start >= 3 and (end <= 5 or start >= 15) for start, end in contacts(toe, FPS))
-    assert contacts(toe[:2], FPS) == []
+    assert all(end - start >= 3 and (end <= 5 or start >= 15) for start, end in find_contacts(toe, FPS))
+    assert find_contacts(toe[:2], FPS) == []
 
 
 @settings(max_examples=60)
@@ -128,20 +128,21 @@ def test_a_leg_reaches_its_goal_or_as_far_as_it_goes(seed: int, away: float) -> 
     knee = hip + 0.4 * (lambda v: v / np.linalg.norm(v, axis=-1, keepdims=True))(rng.normal(size=(5, 3)))
     ankle = knee + 0.42 * (lambda v: v / np.linalg.norm(v, axis=-1, keepdims=True))(rng.normal(size=(5, 3)))
     goal = ankle + away * rng.normal(size=(5, 3))
-    new_knee, new_ankle = two_bones(hip, knee, ankle, goal)
+    new_knee, new_ankle = two_bone_ik(hip, knee, ankle, goal)
     np.testing.assert_allclose(np.linalg.norm(new_knee - hip, axis=-1), 0.4, atol=1e-6)
     np.testing.assert_allclose(np.linalg.norm(new_ankle - new_knee, axis=-1), 0.42, atol=1e-6)
-    reachable = (np.linalg.norm(goal - hip, axis=-1) > 0.03) & (np.linalg.norm(goal - hip, axis=-1) < STRETCHED * 0.82)
+    distance = np.linalg.norm(goal - hip, axis=-1)
+    reachable = (distance > 0.03) & (distance < MAX_EXTENSION * 0.82)
     np.testing.assert_allclose(new_ankle[reachable], goal[reachable], atol=1e-6)
     # otherwise in the direction of the goal
     off = np.cross(new_ankle - hip, goal - hip)
-    np.testing.assert_allclose(off, 0, atol=1e-6 * max(1.0, float(np.linalg.norm(goal - hip, axis=-1).max())))
+    np.testing.assert_allclose(off, 0, atol=1e-6 * max(1.0, float(distance.max())))
 
 
 def test_a_goal_where_the_ankle_is_changes_nothing() -> None:
     joints = walk(30).astype(np.float64)
-    for hip, knee, ankle, _ in SIDES:
-        new_knee, new_ankle = two_bones(joints[:, hip], joints[:, knee], joints[:, ankle], joints[:, ankle])
+    for hip, knee, ankle, _ in LEGS:
+        new_knee, new_ankle = two_bone_ik(joints[:, hip], joints[:, knee], joints[:, ankle], joints[:, ankle])
         np.testing.assert_allclose(new_knee, joints[:, knee], atol=1e-5)
         np.testing.assert_allclose(new_ankle, joints[:, ankle], atol=1e-5)
 

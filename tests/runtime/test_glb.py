@@ -16,7 +16,7 @@ import pytest
 from kinegraph.clip import Clip
 from kinegraph.errors import InvalidInputError
 from kinegraph.formats import encode
-from kinegraph.formats.glb_mesh import rest_body
+from kinegraph.formats.glb_mesh import body_mesh
 from kinegraph.motion.kinematics import rest_offsets
 from kinegraph.motion.skeleton import CONVENTIONS, JOINTS, PARENTS
 from support.cli_runs import fails
@@ -87,7 +87,7 @@ def test_the_body_is_closed_and_its_normals_point_outwards() -> None:
     places = np.zeros((JOINTS, 3))
     for joint in range(1, JOINTS):
         places[joint] = places[PARENTS[joint]] + offsets[joint]
-    body = rest_body(places)
+    body = body_mesh(places)
     corners = body.positions[body.triangles]
     facing = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     assert ((facing * body.normals[body.triangles].sum(axis=1)).sum(axis=-1) > 0).all()

@@ -9,7 +9,14 @@ import pytest
 
 from kinegraph.errors import InvalidInputError
 from kinegraph.motion import humanml3d as layout
-from kinegraph.motion.humanml3d import BONE_AXES, CHAINS, Heading, facing, humanml3d_from_joints, joints_from_humanml3d
+from kinegraph.motion.humanml3d import (
+    BONE_AXES,
+    CHAINS,
+    Heading,
+    facing_directions,
+    humanml3d_from_joints,
+    joints_from_humanml3d,
+)
 from kinegraph.motion.skeleton import JOINT_INDEX, PARENTS, bone_lengths, canonicalise, facing_angle
 from support.motions import SHARED, recorded, t_pose, turn, walk
 
@@ -74,7 +81,7 @@ def test_placed_moves_a_clip_and_keeps_its_shape() -> None:
 
 def test_true_facing_is_the_body_s() -> None:
     joints = walk(40, turning=0.08)
-    ahead = facing(joints, heading="true", smooth=False)
+    ahead = facing_directions(joints, heading="true", smooth=False)
     np.testing.assert_allclose(
         np.arctan2(ahead[:, 0], ahead[:, 2]) % 6.28319, facing_angle(joints) % 6.28319, atol=1e-4
     )
@@ -84,9 +91,9 @@ def test_the_released_facing_counts_the_hips_against_the_shoulders() -> None:
     still = t_pose(1)
     spread = still.copy()
     spread[:, JOINT_INDEX["left_hip"], 0] += 1.0
-    np.testing.assert_allclose(facing(still, heading="humanml3d", smooth=False), [[0, 0, 1]], atol=1e-6)
-    np.testing.assert_allclose(facing(spread, heading="humanml3d", smooth=False), [[0, 0, -1]], atol=1e-6)
-    np.testing.assert_allclose(facing(spread, heading="true", smooth=False), [[0, 0, 1]], atol=1e-6)
+    np.testing.assert_allclose(facing_directions(still, heading="humanml3d", smooth=False), [[0, 0, 1]], atol=1e-6)
+    np.testing.assert_allclose(facing_directions(spread, heading="humanml3d", smooth=False), [[0, 0, -1]], atol=1e-6)
+    np.testing.assert_allclose(facing_directions(spread, heading="true", smooth=False), [[0, 0, 1]], atol=1e-6)
 
 
 def test_yaw_velocity_is_half_the_turn_to_the_right() -> None:

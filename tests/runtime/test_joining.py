@@ -10,15 +10,13 @@ import numpy as np
 import pytest
 
 from kinegraph import Cancelled, InvalidInputError, MotionPipeline, cli
-from kinegraph.bundle.reader import DEFAULT_BUNDLE
-from kinegraph.conditioning import Encoders
-from kinegraph.motion.blending import BLEND_SECONDS, accelerations, best_blend, best_join, stitch
+from kinegraph.conditioning import ConditionEncoder
+from kinegraph.motion.blending import BLEND_SECONDS, best_blend, best_transition, peak_accelerations, stitch
 from kinegraph.motion.skeleton import JOINT_INDEX, bone_lengths, facing_angle
 from support.cli_runs import fails
 from support.motions import recorded, walk
 
 FPS = 20.0
-needs_default = pytest.mark.skipif(not (DEFAULT_BUNDLE / "manifest.json").is_file(), reason="no default bundle")
 FEW: dict[str, Any] = {"steps": (3, 3, 4), "seed": 4}
 
 
@@ -31,10 +29,10 @@ def test_two_halves_of_a_walk_become_the_walk_again() -> None:
     whole = walk(120, turning=0.02)
     first, second = whole[:80], whole[40:]
     second = second - second[:1, :1] * np.array([1, 0, 1])  # from its own origin, as every clip is
-    a, b = best_join(first, second, 10, FPS)
+    a, b = best_transition(first, second, 10, FPS)
     assert (a - b) % 18 in (3, 4, 5) or abs(a - (40 + b)) <= 1  # the same phase of the step (18 frames)
     found = stitch([first, second], FPS)
-    assert accelerations(found, FPS).max() < 1.5 * accelerations(whole, FPS).max()
+    assert peak_accelerations(found, FPS).max() < 1.5 * peak_accelerations(whole, FPS).max()
 
 
 @pytest.mark.parametrize("headings", [(0.0, 2.0), (1.0, -3.0)])
@@ -51,10 +49,10 @@ def test_recorded_clips_join_without_a_jump() -> None:
     for first, second in zip(clips[::2], clips[1::2], strict=False):
         found = stitch([first, second], FPS)
         assert np.isfinite(found).all() and len(found) >= 0.5 * (len(first) + len(second))
-        own = np.concatenate([accelerations(first, FPS), accelerations(second, FPS)])
+        own = np.concatenate([peak_accelerations(first, FPS), peak_accelerations(second, FPS)])
         blend = best_blend(first, second, FPS)
         # and while feet come to be held beside it, a fifth of a second
-        held = accelerations(found, FPS)[max(0, blend.start - 6) : blend.start + blend.frames + 4]
+        held = peak_accelerations(found, FPS)[max(0, blend.start - 6) : blend.start + blend.frames + 4]
         assert held.max() <= 2 * max(np.quantile(own, 0.95), 10.0)
         lengths = bone_lengths(found)
         np.testing.assert_allclose(lengths, np.broadcast_to(lengths[:1], lengths.shape), atol=2e-3)
@@ -91,10 +89,7 @@ def test_short_clips_join(frames: int) -> None:
     assert found.shape[1:] == (22, 3) and np.isfinite(found).all()
 
 
-@needs_default
-def test_a_sequence_of_sentences() -> None:
-    pytest.importorskip("spacy")
-    pipe = MotionPipeline.load(threads=1)
+def test_a_sequence_of_sentences(pipe: MotionPipeline) -> None:
     texts = ["a person walks forward", "a person turns left", "a person bows"]
     clip = pipe.sequence(texts, seconds=[2, 2, 3], **FEW)
     assert clip.text == "a person walks forward, then a person turns left, then a person bows"
@@ -105,10 +100,7 @@ def test_a_sequence_of_sentences() -> None:
     np.testing.assert_array_equal(single.joints, pipe.generate(texts[0], seconds=2, **FEW).joints)
 
 
-@needs_default
-def test_progress_of_a_sequence_goes_once_from_start_to_end_and_can_stop() -> None:
-    pytest.importorskip("spacy")
-    pipe = MotionPipeline.load(threads=1)
+def test_progress_of_a_sequence_goes_once_from_start_to_end_and_can_stop(pipe: MotionPipeline) -> None:
     seen: list[tuple[int, int]] = []
     texts = ["a person walks forward", "a person bows"]
     pipe.sequence(texts, seconds=2, on_step=lambda info: seen.append((info.done, info.total)), **FEW)
@@ -117,7 +109,6 @@ def test_progress_of_a_sequence_goes_once_from_start_to_end_and_can_stop() -> No
         pipe.sequence(texts, seconds=2, on_step=lambda info: info.done < 13, **FEW)
 
 
-@needs_default
 @pytest.mark.parametrize(
     ("texts", "seconds", "message"),
     [
@@ -131,20 +122,17 @@ def test_progress_of_a_sequence_goes_once_from_start_to_end_and_can_stop() -> No
     ],
 )
 def test_a_wrong_sequence_is_refused_before_a_model_runs(
-    texts: Any, seconds: Any, message: str, monkeypatch: pytest.MonkeyPatch
+    pipe: MotionPipeline, texts: Any, seconds: Any, message: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    pytest.importorskip("spacy")
-    pipe = MotionPipeline.load(threads=1)
 
     def never(*_: object) -> None:
         raise AssertionError("a model ran")
 
-    monkeypatch.setattr(Encoders, "arrays", never)
+    monkeypatch.setattr(ConditionEncoder, "encode_text", never)
     with pytest.raises(InvalidInputError, match=message):
         pipe.sequence(texts, seconds=seconds, seed=2**63 - 1 if message.startswith("seed") else 1)
 
 
-@needs_default
 def test_on_the_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     pytest.importorskip("spacy")
     target = tmp_path / "walk.npz"

@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 from kinegraph.clip import Clip
 from kinegraph.errors import InvalidInputError
 from kinegraph.formats import encode
-from kinegraph.motion.blending import accelerations, local_poses
-from kinegraph.motion.postprocess import contacts
+from kinegraph.motion.blending import canonical_poses, peak_accelerations
+from kinegraph.motion.postprocess import find_contacts
 from kinegraph.motion.skeleton import JOINT_INDEX, bone_lengths, facing_angle
 from support.motions import recorded, walk
 
@@ -49,7 +49,7 @@ def fastest_standing_toe(joints: np.ndarray) -> float:
     """m/s: the 99th percentile over the frames in which a toe stands."""
     speeds = [0.0]
     for toe in TOES:
-        for start, end in contacts(joints[:, toe].astype(np.float64), FPS):
+        for start, end in find_contacts(joints[:, toe].astype(np.float64), FPS):
             speeds += (np.linalg.norm(np.diff(joints[start:end, toe][:, [0, 2]], axis=0), axis=-1) * FPS).tolist()
     return float(np.quantile(speeds, 0.99))
 
@@ -58,7 +58,7 @@ def test_the_last_frame_is_the_first_again() -> None:
     for joints in motions():
         found = clip(joints).looped()
         assert found.loops and len(joints) / 2 <= found.frames <= len(joints)
-        poses = local_poses(found.joints)
+        poses = canonical_poses(found.joints)
         np.testing.assert_allclose(poses[-1], poses[0], atol=1e-5)
         assert np.ptp(bone_lengths(found.joints), axis=0).max() < 1e-4
 
@@ -67,8 +67,8 @@ def test_nothing_jumps_or_slides_where_a_round_ends() -> None:
     for joints in motions():
         shown = rounds(clip(joints).looped().joints, 3)
         frames = len(shown) // 3
-        own = np.quantile(accelerations(joints, FPS), 0.95)
-        assert accelerations(shown, FPS)[frames - 14 : frames + 4].max() <= 2.5 * max(own, 10.0)
+        own = np.quantile(peak_accelerations(joints, FPS), 0.95)
+        assert peak_accelerations(shown, FPS)[frames - 14 : frames + 4].max() <= 2.5 * max(own, 10.0)
         assert fastest_standing_toe(shown) < max(0.1, 1.2 * fastest_standing_toe(joints))
 
 
@@ -77,14 +77,15 @@ def test_a_loop_in_place_ends_exactly_where_and_whither_it_began() -> None:
         found = clip(joints).looped().in_place()
         np.testing.assert_allclose(found.joints[-1], found.joints[0], atol=1e-5)
         # every pose of it is that of the loop
-        np.testing.assert_allclose(local_poses(found.joints), local_poses(clip(joints).looped().joints), atol=1e-4)
+        poses = canonical_poses(clip(joints).looped().joints)
+        np.testing.assert_allclose(canonical_poses(found.joints), poses, atol=1e-4)
 
 
 @pytest.mark.parametrize("fps", [24, 30, 60, 17.3])
 def test_a_loop_at_another_frame_rate_is_a_loop(fps: float) -> None:
     loop = clip(walk(60)).looped()
     found = loop.resampled(fps)
-    np.testing.assert_allclose(local_poses(found.joints)[-1], local_poses(found.joints)[0], atol=1e-5)
+    np.testing.assert_allclose(canonical_poses(found.joints)[-1], canonical_poses(found.joints)[0], atol=1e-5)
     assert abs((found.frames - 1) / fps - (loop.frames - 1) / FPS) <= 0.5 / fps
     assert len(found.shown) == found.frames - 1 and len(clip(walk(9)).shown) == 9
 
@@ -117,7 +118,7 @@ def test_any_frame_rate_can_loop() -> None:
     fast = clip(walk(60)).resampled(240)
     found = fast.looped()
     assert fast.frames / 2 - 12 <= found.frames <= fast.frames
-    np.testing.assert_allclose(local_poses(found.joints)[-1], local_poses(found.joints)[0], atol=1e-5)
+    np.testing.assert_allclose(canonical_poses(found.joints)[-1], canonical_poses(found.joints)[0], atol=1e-5)
 
 
 @settings(max_examples=20)

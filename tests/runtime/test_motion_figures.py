@@ -5,11 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-import pytest
 
 from kinegraph import MotionPipeline
-from kinegraph.bundle.reader import DEFAULT_BUNDLE
-from kinegraph.motion.blending import accelerations, best_blend
+from kinegraph.motion.blending import best_blend, peak_accelerations
 from kinegraph.motion.kinematics import forward_kinematics, rotations_from_positions
 from kinegraph.motion.skeleton import bone_lengths
 from support.motions import largest_twist, recorded
@@ -22,7 +20,6 @@ JOIN = 2.0
 """Acceleration at a join, in 95th percentiles of the clips that are joined."""
 FPS = 20.0
 
-needs_default = pytest.mark.skipif(not (DEFAULT_BUNDLE / "manifest.json").is_file(), reason="no default bundle")
 
 SENTENCES = (
     "a person walks forward", "a person runs", "a person walks and turns to the left", "a person bows",
@@ -41,12 +38,6 @@ PAIRS = (
     ("a person waves the left hand", "a person waves the right hand"),
     ("a person waves the right hand", "a person raises both hands"),
 )  # fmt: skip
-
-
-@pytest.fixture(scope="module")
-def pipe() -> MotionPipeline:
-    pytest.importorskip("spacy")
-    return MotionPipeline.load(threads=1)
 
 
 def check_rotations(clips: list[np.ndarray], name: str, figure: Callable[[str], None]) -> None:
@@ -70,14 +61,12 @@ def test_rotations_of_200_recorded_clips(figure: Callable[[str], None]) -> None:
     check_rotations(clips, "recorded", figure)
 
 
-@needs_default
 def test_rotations_of_200_generated_clips(pipe: MotionPipeline, figure: Callable[[str], None]) -> None:
     clips = [clip.joints for place, text in enumerate(SENTENCES) for clip in pipe.takes(text, 10, seed=100 * place)]
     assert len(clips) == 200
     check_rotations(clips, "generated", figure)
 
 
-@needs_default
 def test_joins_of_generated_sequences(pipe: MotionPipeline, figure: Callable[[str], None]) -> None:
     ratios, twists, bones = [], [], []
     for texts in PAIRS:
@@ -87,8 +76,8 @@ def test_joins_of_generated_sequences(pipe: MotionPipeline, figure: Callable[[st
             blend = best_blend(first, second, FPS)
             # in it, and while feet come to be held beside it, a fifth of a second
             begin, end = max(0, blend.start - 6), blend.start + blend.frames + 4
-            own = np.quantile(np.concatenate([accelerations(first, FPS), accelerations(second, FPS)]), 0.95)
-            ratios.append(accelerations(joined, FPS)[begin:end].max() / own)
+            own = np.quantile(np.concatenate([peak_accelerations(first, FPS), peak_accelerations(second, FPS)]), 0.95)
+            ratios.append(peak_accelerations(joined, FPS)[begin:end].max() / own)
             twists.append(largest_twist(joined))
             bones.append(np.ptp(bone_lengths(joined), axis=0).max() * 1000)
     figure(
@@ -99,7 +88,6 @@ def test_joins_of_generated_sequences(pipe: MotionPipeline, figure: Callable[[st
     assert max(ratios) <= JOIN and max(twists) < NO_FLIP and max(bones) < 1.0
 
 
-@needs_default
 def test_a_sequence_of_three_is_nowhere_jerkier_than_its_parts(
     pipe: MotionPipeline, figure: Callable[[str], None]
 ) -> None:
@@ -108,10 +96,10 @@ def test_a_sequence_of_three_is_nowhere_jerkier_than_its_parts(
     for seed in range(1, 6):
         joined = pipe.sequence(texts, seconds=seconds, seed=seed).joints
         parts = [
-            accelerations(pipe.generate(text, seconds=length, seed=seed + k).joints, FPS)
+            peak_accelerations(pipe.generate(text, seconds=length, seed=seed + k).joints, FPS)
             for k, (text, length) in enumerate(zip(texts, seconds, strict=True))
         ]
         limit = max(JOIN * np.quantile(np.concatenate(parts), 0.95), *(part.max() for part in parts))
-        worst.append(accelerations(joined, FPS).max() / limit)
+        worst.append(peak_accelerations(joined, FPS).max() / limit)
     figure(f"5 sequences of three: acceleration anywhere {max(worst):.2f} of what their parts allow (limit 1)")
     assert max(worst) <= 1.0

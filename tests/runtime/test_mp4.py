@@ -13,7 +13,7 @@ import pytest
 from kinegraph.clip import Clip
 from kinegraph.errors import MissingExtraError, OutputError
 from kinegraph.formats import encode, video
-from kinegraph.formats.video import SIZE, picture
+from kinegraph.formats.video import SIZE, draw_pose
 from support.cli_runs import fails
 from support.motions import walk
 
@@ -30,7 +30,7 @@ def test_all_frames_come_at_their_time(fps: float, rate: Fraction) -> None:
     with av.open(io.BytesIO(encode(clip(walk(24), fps), ".mp4"))) as file:
         (stream,) = file.streams
         assert (stream.codec_context.name, stream.pix_fmt, stream.average_rate) == ("h264", "yuv420p", rate)
-        assert (stream.width, stream.height) == (SIZE[0] * video.SCALE, SIZE[1] * video.SCALE)
+        assert (stream.width, stream.height) == (SIZE[0] * video.MP4_SCALE, SIZE[1] * video.MP4_SCALE)
         frames = list(file.decode(video=0))
     np.testing.assert_allclose([frame.time for frame in frames], np.arange(24) / fps, atol=1e-3)
     grey = [frame.to_ndarray(format="gray").astype(int) for frame in frames]
@@ -42,7 +42,7 @@ def test_a_frame_is_the_picture_of_its_pose() -> None:
     with av.open(io.BytesIO(encode(clip(joints), ".mp4"))) as file:
         frames = [frame.to_ndarray(format="gray").astype(float) for frame in file.decode(video=0)]
     for number in (0, 5, 11):
-        drawn = np.asarray(picture(joints[number], video.SCALE).convert("L")).astype(float)
+        drawn = np.asarray(draw_pose(joints[number], video.MP4_SCALE).convert("L")).astype(float)
         assert np.abs(frames[number] - drawn).mean() < 4
         others = [np.abs(frames[other] - drawn).mean() for other in (0, 5, 11) if other != number]
         assert np.abs(frames[number] - drawn).mean() < min(others)

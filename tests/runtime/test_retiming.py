@@ -8,10 +8,9 @@ import numpy as np
 import pytest
 
 from kinegraph import cli
-from kinegraph.bundle.reader import DEFAULT_BUNDLE
 from kinegraph.clip import Clip
 from kinegraph.errors import InvalidInputError
-from kinegraph.motion.blending import local_poses
+from kinegraph.motion.blending import canonical_poses
 from kinegraph.motion.skeleton import bone_lengths, facing_angle
 from support.cli_runs import fails
 from support.motions import largest_twist, recorded, walk
@@ -71,10 +70,9 @@ def test_in_place_takes_the_travel_and_nothing_else() -> None:
         found = clip(joints).in_place().joints
         np.testing.assert_allclose(found[:, 0, [0, 2]], np.repeat(joints[:1, 0, [0, 2]], len(joints), 0), atol=1e-6)
         np.testing.assert_allclose(found[..., 1], joints[..., 1])
-        np.testing.assert_allclose(local_poses(found), local_poses(joints), atol=1e-5)
+        np.testing.assert_allclose(canonical_poses(found), canonical_poses(joints), atol=1e-5)
 
 
-@pytest.mark.skipif(not (DEFAULT_BUNDLE / "manifest.json").is_file(), reason="no default bundle")
 def test_on_the_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     pytest.importorskip("spacy")
     words = ["generate", "a person walks", "--steps", "2", "--seconds", "2", "--seed", "1", "--quiet"]

@@ -68,18 +68,18 @@ def test_half_turns_from_matrices(axis: str) -> None:
 
 def test_between_is_the_shortest_turn() -> None:
     start, end = directions(50), directions(100)[50:]
-    turned = q.between(start * 3.0, end * 0.2)
+    turned = q.shortest_rotation(start * 3.0, end * 0.2)
     np.testing.assert_allclose(q.rotate(turned, start), end, atol=1e-9)
     np.testing.assert_allclose(2 * np.arccos(turned[:, 0]), np.arccos((start * end).sum(-1)), atol=1e-6)
 
 
 def test_between_opposite_equal_and_zero_directions() -> None:
     start = directions(20)
-    opposite = q.between(start, -start)
+    opposite = q.shortest_rotation(start, -start)
     np.testing.assert_allclose(q.rotate(opposite, start), -start, atol=1e-6)
     np.testing.assert_allclose(np.linalg.norm(opposite, axis=-1), 1.0)
-    np.testing.assert_allclose(q.between(start, start), np.tile(q.IDENTITY, (20, 1)), atol=1e-12)
-    np.testing.assert_array_equal(q.between(np.zeros(3), start[0]), q.IDENTITY)
+    np.testing.assert_allclose(q.shortest_rotation(start, start), np.tile(q.IDENTITY, (20, 1)), atol=1e-12)
+    np.testing.assert_array_equal(q.shortest_rotation(np.zeros(3), start[0]), q.IDENTITY)
 
 
 def test_slerp_goes_the_shorter_way_at_even_speed() -> None:
@@ -96,13 +96,13 @@ def test_continuous_keeps_the_turns_and_mends_the_signs() -> None:
     smooth = q.about_axis(1, np.linspace(0.0, 9.0, 40))
     signs = np.random.default_rng(0).choice([-1.0, 1.0], size=(40, 1))
     signs[0] = 1.0
-    np.testing.assert_allclose(q.continuous(smooth * signs), smooth)
+    np.testing.assert_allclose(q.continuous_signs(smooth * signs), smooth)
 
 
 def test_quaternions_keep_float32() -> None:
     turned = q.about_axis(0, np.array([0.3], dtype=np.float32))
     ahead = np.array([[0, 0, 1]], dtype=np.float32)
-    results = [q.multiply(turned, turned), q.rotate(turned, ahead), q.between(ahead, -ahead)]
+    results = [q.multiply(turned, turned), q.rotate(turned, ahead), q.shortest_rotation(ahead, -ahead)]
     assert {each.dtype for each in [*results, q.to_matrix(turned)]} == {np.dtype(np.float32)}
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from kinegraph.motion import quaternions as q
-from kinegraph.motion.kinematics import HINGES, spine_twist, twisted
+from kinegraph.motion.kinematics import HINGES, apply_twist, spine_twist
 from kinegraph.motion.skeleton import JOINT_INDEX
 from support.motions import largest_twist, posed, recorded, turn, walk, world_turns
 
@@ -67,7 +67,7 @@ def test_the_twist_of_a_turn_is_that_of_the_textbook() -> None:
     np.testing.assert_allclose(spine_twist(np.tile(q.IDENTITY, (5, 1)), -chest), angle, atol=1e-9)
     swing = q.about_axis(2, np.full(5, 0.3))
     bone = np.array([0.0, 2.0, 0.0])
-    np.testing.assert_allclose(q.rotate(twisted(swing, bone, angle), bone), q.rotate(swing, bone), atol=1e-9)
+    np.testing.assert_allclose(q.rotate(apply_twist(swing, bone, angle), bone), q.rotate(swing, bone), atol=1e-9)
 
 
 def test_a_limb_that_flips_would_be_seen(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -17,7 +17,7 @@ from kinegraph import cli
 from kinegraph.clip import Clip
 from kinegraph.errors import InvalidInputError
 from kinegraph.formats import encode
-from kinegraph.formats.html import page
+from kinegraph.formats.html import clips_page
 from kinegraph.formats.npz import read_npz
 from kinegraph.graph import SemanticGraph
 from support.cli_runs import fails, whole
@@ -94,7 +94,7 @@ def test_the_page_holds_the_very_glb_and_what_was_asked_for() -> None:
 
 def test_several_clips_stand_in_one_page_in_their_order() -> None:
     texts = ["one", "two", "three"]
-    found = Page(page([clip(text=text) for text in texts]))
+    found = Page(clips_page([clip(text=text) for text in texts]))
     assert [each["text"] for each in found.data["clips"]] == texts
     assert found.title == "one, two, three"
 
@@ -119,7 +119,7 @@ def test_nothing_comes_from_elsewhere_and_only_its_own_script_may_run() -> None:
 
 def test_the_page_is_light_and_its_bytes_depend_on_the_clip_alone() -> None:
     longest = clip(196)
-    assert len(page([longest] * 4)) <= 1_500_000
+    assert len(clips_page([longest] * 4)) <= 1_500_000
     assert encode(clip(), ".html") == encode(clip(), ".html") != encode(clip(21), ".html")
 
 

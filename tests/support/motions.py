@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from kinegraph.motion.kinematics import CHILDREN, rotations_from_positions
-from kinegraph.motion.quaternions import between, multiply, normalised
+from kinegraph.motion.quaternions import multiply, normalised, shortest_rotation
 from kinegraph.motion.skeleton import PARENTS
 
 SHARED = Path(__file__).resolve().parents[3] / "shared"
@@ -69,16 +69,33 @@ def t_pose(frames: int = 4) -> np.ndarray:
     return np.repeat(pose[None], frames, axis=0).astype(np.float32)
 
 
-def walk(frames: int = 60, *, turning: float = 0.0, heading: float = 0.0, speed: float = 0.05) -> np.ndarray:
-    """(frames, 22, 3): walks along its heading, `speed` m and `turning` radians (to the left) per frame."""
+def walk(
+    frames: int = 60,
+    *,
+    turning: float = 0.0,
+    heading: float = 0.0,
+    speed: float = 0.05,
+    cadence: float = 0.35,
+    swing: float = 0.5,
+) -> np.ndarray:
+    """(frames, 22, 3): walks along its heading, `speed` m and `turning` radians (to the left) per frame.
+
+    Args:
+        frames: at 20 per second.
+        turning: radians per frame, positive to the left.
+        heading: radians at the first frame, 0 is +Z.
+        speed: metres per frame.
+        cadence: radians of the step cycle per frame.
+        swing: largest angle of a leg from the vertical, radians.
+    """
     place, rows = np.array([0.0, 0.95, 0.0]), []
     for frame in range(frames):
-        phase, angle = 0.35 * frame, heading + turning * frame
-        swing = 0.5 * np.sin(phase)
+        phase, angle = cadence * frame, heading + turning * frame
+        leg = swing * np.sin(phase)
         turns = {
             0: turn("y", angle) @ turn("z", 0.04 * np.sin(phase)),
-            1: turn("x", -swing),
-            2: turn("x", swing),
+            1: turn("x", -leg),
+            2: turn("x", leg),
             3: turn("x", 0.1) @ turn("y", 0.15 * np.sin(phase)),
             4: turn("x", 0.4 + 0.3 * np.sin(phase)),
             5: turn("x", 0.4 - 0.3 * np.sin(phase)),
@@ -87,13 +104,40 @@ def walk(frames: int = 60, *, turning: float = 0.0, heading: float = 0.0, speed:
             8: turn("x", -0.2 + 0.1 * np.cos(phase)),
             12: turn("x", 0.1 * np.cos(phase)),
             13: turn("z", 0.05 * np.sin(phase)),
-            16: turn("x", swing) @ turn("z", -1.2),
-            17: turn("x", -swing) @ turn("z", 1.2),
+            16: turn("x", leg) @ turn("z", -1.2),
+            17: turn("x", -leg) @ turn("z", 1.2),
             18: turn("y", -0.3 - 0.2 * np.sin(phase)),
             19: turn("y", 0.3 - 0.2 * np.sin(phase)),
         }
         rows.append(posed(place, turns))
         place = place + speed * np.array([np.sin(angle), 0.0, np.cos(angle)])
+    joints = np.stack(rows)
+    joints[..., 1] -= joints[..., 1].min()
+    return joints.astype(np.float32)
+
+
+def stand(frames: int = 40, *, wave: float = 0.0, bow: float = 0.0, rate: float = 0.6) -> np.ndarray:
+    """(frames, 22, 3): stands with hanging arms, and can wave the right hand and bow, both once and back.
+
+    Args:
+        frames: at 20 per second.
+        wave: radians by which the right arm is raised at the most.
+        bow: radians by which the back bends forward at the most.
+        rate: radians of the waving hand's cycle per frame.
+    """
+    rows = []
+    for frame in range(frames):
+        share = np.sin(np.pi * frame / (frames - 1)) ** 2
+        raised = min(1.0, 3.0 * share) * wave
+        bent = bow * share / 3.0
+        turns = {
+            **{joint: turn("x", bent) for joint in (3, 6, 9)},
+            12: turn("x", bent),
+            16: turn("z", -1.2),
+            17: turn("z", 1.2 - raised),
+            19: turn("z", -0.5 * raised * (1.0 + np.sin(rate * frame)) / 2.0),
+        }
+        rows.append(posed(np.array([0.0, 0.95, 0.0]), turns))
     joints = np.stack(rows)
     joints[..., 1] -= joints[..., 1].min()
     return joints.astype(np.float32)
@@ -114,7 +158,7 @@ def largest_twist(joints: np.ndarray, fps: float = 20.0) -> float:
     for joint, children in enumerate(CHILDREN):
         if len(children) == 1:
             bone = normalised((joints[:, children[0]] - joints[:, joint]).astype(np.float64))
-            swung = multiply(between(bone[:-1], bone[1:]), turns[:-1, joint])
+            swung = multiply(shortest_rotation(bone[:-1], bone[1:]), turns[:-1, joint])
             cosine = np.abs((turns[1:, joint] * swung).sum(-1))
             largest = max(largest, float(np.degrees(2 * np.arccos(cosine.clip(0, 1))).max()))
     return largest

@@ -11,7 +11,7 @@ from support.motions import SHARED, walk
 
 pytest.importorskip("torch")
 
-from kinegraph.motion.blending import accelerations
+from kinegraph.motion.blending import peak_accelerations
 from kinegraph.motion.skeleton import bone_lengths, facing_angle
 from kinegraph_training.config import DataConfig
 from kinegraph_training.data.clips import MotionClip, read_split
@@ -43,7 +43,7 @@ def test_what_goes_on_for_longer_does_not_jump() -> None:
     longer = [each for each in make_excerpts(short, 30, 1, 110) if len(each.joints) > 60]
     assert longer
     for each in longer:
-        assert accelerations(each.joints, 20).max() < 1.7 * accelerations(short[0].joints, 20).max()
+        assert peak_accelerations(each.joints, 20).max() < 1.7 * peak_accelerations(short[0].joints, 20).max()
         assert np.ptp(bone_lengths(each.joints), axis=0).max() < 5e-3
 
 

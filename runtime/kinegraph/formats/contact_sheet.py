@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 POSES: Final = 8
 VIEW: Final = 0.6
 """Radians by which the camera stands beside the first facing direction's normal: 0 shows the body from its front."""
-_LEFT, _RIGHT, MIDDLE, FAINT = "#c2410c", "#1d4ed8", "#3f3f46", "#d4d4d8"
+_LEFT, _RIGHT, GREY, LIGHT_GREY = "#c2410c", "#1d4ed8", "#3f3f46", "#d4d4d8"
 _REACH: Final = 0.8
 """Metres shown on each side of the pelvis."""
 
@@ -36,7 +36,7 @@ def encode(clip: Clip) -> bytes:
     for axis, frame in zip(axes, frames, strict=False):
         _draw_pose(axis, clip.joints[frame], f"{frame / clip.fps:.1f} s", top)
     _draw_path(axes[-1], clip.joints, frames)
-    figure.suptitle(fitting(clip.text), fontsize=12, y=0.97)
+    figure.suptitle(title_line(clip.text), fontsize=12, y=0.97)
     figure.subplots_adjust(left=0.01, right=0.97, bottom=0.14, top=0.88, wspace=0.02)
     return png_bytes(figure)
 
@@ -55,16 +55,18 @@ def png_bytes(figure: Figure) -> bytes:
 def _draw_pose(axis: Axes, joints: FloatArray, label: str, top: float) -> None:
     across = np.cos(VIEW) * joints[:, 0] + np.sin(VIEW) * joints[:, 2]
     across = across - across[0]
-    axis.plot([-_REACH, _REACH], [0, 0], color=FAINT, linewidth=1)
+    axis.plot([-_REACH, _REACH], [0, 0], color=LIGHT_GREY, linewidth=1)
     for child, parent in enumerate(PARENTS):
         if parent >= 0:
             places = [child, parent]
-            axis.plot(across[places], joints[places, 1], color=colour_of(child), linewidth=2.4, solid_capstyle="round")
+            axis.plot(
+                across[places], joints[places, 1], color=limb_colour(child), linewidth=2.4, solid_capstyle="round"
+            )
     head = JOINT_NAMES.index("head")
-    axis.plot(across[head], joints[head, 1] + 0.06, "o", color=MIDDLE, markersize=9)
+    axis.plot(across[head], joints[head, 1] + 0.06, "o", color=GREY, markersize=9)
     axis.set(xlim=(-_REACH, _REACH), ylim=(-0.1, top), aspect="equal")
     axis.axis("off")
-    axis.text(0.5, -0.03, label, transform=axis.transAxes, ha="center", va="top", fontsize=9, color=MIDDLE)
+    axis.text(0.5, -0.03, label, transform=axis.transAxes, ha="center", va="top", fontsize=9, color=GREY)
 
 
 def _draw_path(axis: Axes, joints: FloatArray, frames: np.ndarray[Any, Any]) -> None:
@@ -72,28 +74,28 @@ def _draw_path(axis: Axes, joints: FloatArray, frames: np.ndarray[Any, Any]) -> 
     # Seen from above with +Z up the page, the body's left side (+X) is on the left.
     side, ahead = -joints[:, 0, 0], joints[:, 0, 2]
     heading = facing_angle(joints)[frames]
-    axis.plot(side, ahead, color=FAINT, linewidth=3)
+    axis.plot(side, ahead, color=LIGHT_GREY, linewidth=3)
     axis.quiver(
         *(side[frames], ahead[frames], -np.sin(heading), np.cos(heading)),
-        color=MIDDLE, scale=9, width=0.012, pivot="tail",
+        color=GREY, scale=9, width=0.012, pivot="tail",
     )  # fmt: skip
     middle = [(float(part.min()) + float(part.max())) / 2 for part in (side, ahead)]
     half = max(1.0, 0.6 * float(np.ptp(side)) + 0.3, 0.6 * float(np.ptp(ahead)) + 0.3)
     axis.set(xlim=(middle[0] - half, middle[0] + half), ylim=(middle[1] - half, middle[1] + half), aspect="equal")
-    axis.set_title("from above, metres", fontsize=8, color=MIDDLE)
-    axis.tick_params(labelsize=7, colors=MIDDLE)
+    axis.set_title("from above, metres", fontsize=8, color=GREY)
+    axis.tick_params(labelsize=7, colors=GREY)
     axis.yaxis.tick_right()
     for spine in axis.spines.values():
-        spine.set_color(FAINT)
+        spine.set_color(LIGHT_GREY)
 
 
-def colour_of(joint: int) -> str:
+def limb_colour(joint: int) -> str:
     """Of the limb that leads to a joint: red on the left, blue on the right."""
     name = JOINT_NAMES[joint]
-    return _LEFT if name.startswith("left") else _RIGHT if name.startswith("right") else MIDDLE
+    return _LEFT if name.startswith("left") else _RIGHT if name.startswith("right") else GREY
 
 
-def fitting(text: str, width: int = 110) -> str:
+def title_line(text: str, width: int = 110) -> str:
     """One line of at most `width` characters, with nothing that matplotlib would read as a formula."""
     line = " ".join(text.split())
     return (line if len(line) <= width else line[: width - 1] + "…").replace("$", r"\$")

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from kinegraph.formats.contact_sheet import MIDDLE, fitting, png_bytes
+from kinegraph.formats.contact_sheet import GREY, png_bytes, title_line
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -36,20 +36,20 @@ def encode(found: EnergyMaps) -> bytes:
         filled = axis.contourf(found.first, found.second, own.energy, levels=levels, cmap="viridis")
         axis.contour(found.first, found.second, own.energy, levels=levels, colors=_OTHERS, linewidths=0.4)
         _draw_samples(axis, found, own)
-        axis.set_title(_title(number, own.label), fontsize=8, color=MIDDLE)
+        axis.set_title(_title(number, own.label), fontsize=8, color=GREY)
         axis.set_aspect("equal")
-        axis.tick_params(labelsize=6, colors=MIDDLE)
+        axis.tick_params(labelsize=6, colors=GREY)
     for axis in axes.flat[len(found.maps) :]:
         axis.axis("off")
     bar = figure.colorbar(filled, ax=axes, shrink=0.8, pad=0.01, ticks=levels[::4], format="%.2g")
-    bar.set_label("energy above the lowest", fontsize=7, color=MIDDLE)
-    bar.ax.tick_params(labelsize=6, colors=MIDDLE)
+    bar.set_label("energy above the lowest", fontsize=7, color=GREY)
+    bar.ax.tick_params(labelsize=6, colors=GREY)
     rest = max(own.rest for own in found.maps)
     note = (
         "stars and dots: where samples end, hollow beside the plane; unit: standard deviation of the specific latent; "
         f"timestep {found.timestep}; at most {rest:.0%} of the noise is no gradient"
     )
-    figure.supxlabel(note, fontsize=7, color=MIDDLE)
+    figure.supxlabel(note, fontsize=7, color=GREY)
     return png_bytes(figure)
 
 
@@ -67,4 +67,4 @@ def _draw_samples(axis: Axes, found: EnergyMaps, own: EnergyMap) -> None:
 
 def _title(number: int, label: str) -> str:
     """At most three lines."""
-    return "\n".join(textwrap.wrap(fitting(f"{number}. {label}", 90), 34)[:3])
+    return "\n".join(textwrap.wrap(title_line(f"{number}. {label}", 90), 34)[:3])

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from kinegraph.formats.glb_mesh import rest_body
+from kinegraph.formats.glb_mesh import body_mesh
 from kinegraph.motion.kinematics import CHILDREN, forward_kinematics, rotations_from_positions
 from kinegraph.motion.skeleton import CONVENTIONS, DEFAULT_NAMES, JOINTS
 
@@ -88,7 +88,7 @@ def _origin(clip: Clip) -> dict[str, Any]:
 
 
 def _mesh(buffer: _Buffer, rest: NDArray[Any]) -> dict[str, Any]:
-    body = rest_body(rest)
+    body = body_mesh(rest)
     carried = np.zeros((len(body.joints), 4), dtype=np.uint8)
     carried[:, :2] = body.joints
     weights = np.zeros(carried.shape, dtype=np.float32)

@@ -154,7 +154,7 @@ class Body:
     """(m, 3) vertex numbers, counter-clockwise seen from outside."""
 
 
-def rest_body(places: Floats) -> Body:
+def body_mesh(places: Floats) -> Body:
     """The body around joints (22, 3) at rest."""
     positions: list[Floats] = []
     normals: list[Floats] = []

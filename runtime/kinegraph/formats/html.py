@@ -23,20 +23,20 @@ if TYPE_CHECKING:
     from kinegraph.clip import Clip
 
 PARTS: Final = Path(__file__).parents[1] / "viewer"
-"""Folder of `page.html`, `viewer.css` and `viewer.js`, which `npm run build` in `viewer/` makes."""
+"""Folder of `clips_page.html`, `viewer.css` and `viewer.js`, which `npm run build` in `viewer/` makes."""
 
 
 def encode(clip: Clip) -> bytes:
     """The page of one clip."""
-    return page([clip])
+    return clips_page([clip])
 
 
-def page(clips: Sequence[Clip]) -> bytes:
+def clips_page(clips: Sequence[Clip]) -> bytes:
     """A page of one or more clips, side by side."""
-    return document(", ".join(clip.text for clip in clips), {"clips": [record(clip) for clip in clips]})
+    return render_page(", ".join(clip.text for clip in clips), {"clips": [clip_record(clip) for clip in clips]})
 
 
-def record(clip: Clip) -> dict[str, Any]:
+def clip_record(clip: Clip) -> dict[str, Any]:
     """A clip as the page's script takes it."""
     # Level 6 and no time of day: equal clips give equal bytes.
     body = gzip.compress(glb.encode(clip), compresslevel=6, mtime=0)
@@ -51,11 +51,11 @@ def record(clip: Clip) -> dict[str, Any]:
     }
 
 
-def document(title: str, data: object, connect: str = "'none'") -> bytes:
+def render_page(title: str, data: object, connect: str = "'none'") -> bytes:
     """The page with what its script reads; `connect` is where that may send requests to."""
     parts = {
         "title": html.escape(title[:200]),
-        "policy": policy(connect),
+        "policy": content_security_policy(connect),
         "style": _part("viewer.css"),
         # "<" would let a caption close the element it stands in.
         "data": json.dumps(data, ensure_ascii=False, separators=(",", ":")).replace("<", "\\u003c"),
@@ -64,7 +64,7 @@ def document(title: str, data: object, connect: str = "'none'") -> bytes:
     return re.sub(r"{{(\w+)}}", lambda found: parts[found[1]], _part("page.html")).encode()
 
 
-def policy(connect: str) -> str:
+def content_security_policy(connect: str) -> str:
     """The content security policy of a page: its own script and style, and nothing from elsewhere."""
     script, style = (
         base64.b64encode(hashlib.sha256(_part(name).encode()).digest()).decode("ascii")

@@ -17,7 +17,7 @@ import numpy as np
 
 from kinegraph.arrays import FloatArray
 from kinegraph.errors import MissingExtraError
-from kinegraph.formats.contact_sheet import FAINT, MIDDLE, VIEW, colour_of
+from kinegraph.formats.contact_sheet import GREY, LIGHT_GREY, VIEW, limb_colour
 from kinegraph.motion.skeleton import JOINT_INDEX, PARENTS
 
 if TYPE_CHECKING:
@@ -34,7 +34,7 @@ _SHARP: Final = 2
 """Drawn so many times larger and scaled down: lines without steps."""
 
 
-def picture(pose: FloatArray, scale: int = 1) -> Any:
+def draw_pose(pose: FloatArray, scale: int = 1) -> Any:
     """A Pillow image of one pose (22, 3), with marks on the floor a metre apart so that travel is seen."""
     from PIL import Image, ImageDraw
 
@@ -45,19 +45,19 @@ def picture(pose: FloatArray, scale: int = 1) -> Any:
     x = (SIZE[0] / 2 + METRE * (across - across[0])) * drawn
     y = (FLOOR - METRE * pose[:, 1]) * drawn
     ground = FLOOR * drawn
-    draw.line([(0, ground), (image.width, ground)], fill=FAINT, width=2 * drawn)
+    draw.line([(0, ground), (image.width, ground)], fill=LIGHT_GREY, width=2 * drawn)
     for mark in range(int(np.floor(across[0])) - 2, int(np.ceil(across[0])) + 3):
         place = (SIZE[0] / 2 + METRE * (mark - across[0])) * drawn
-        draw.line([(place, ground), (place - 12 * drawn, ground + 14 * drawn)], fill=FAINT, width=2 * drawn)
+        draw.line([(place, ground), (place - 12 * drawn, ground + 14 * drawn)], fill=LIGHT_GREY, width=2 * drawn)
     for child, parent in enumerate(PARENTS):
         if parent >= 0:
             ends = [(float(x[joint]), float(y[joint])) for joint in (parent, child)]
-            draw.line(ends, fill=colour_of(child), width=5 * drawn)
+            draw.line(ends, fill=limb_colour(child), width=5 * drawn)
             # Pillow ends a line squarely, which leaves gaps where limbs bend
             for end in ends:
-                draw.circle(end, 2.5 * drawn, fill=colour_of(child))
+                draw.circle(end, 2.5 * drawn, fill=limb_colour(child))
     head, radius = JOINT_INDEX["head"], 0.09 * METRE * drawn
-    draw.circle((float(x[head]), float(y[head]) - 0.6 * radius), radius, fill=MIDDLE)
+    draw.circle((float(x[head]), float(y[head]) - 0.6 * radius), radius, fill=GREY)
     return image.resize(size, Image.Resampling.LANCZOS)
 
 
@@ -70,7 +70,7 @@ def encode_gif(clip: Clip) -> bytes:
     from PIL import Image
 
     every = int(np.ceil(clip.fps / MOST_FPS))
-    frames = [picture(pose) for pose in clip.shown[::every]]
+    frames = [draw_pose(pose) for pose in clip.shown[::every]]
     palette = frames[0].quantize(32)
     pictures = [frame.quantize(palette=palette, dither=Image.Dither.NONE) for frame in frames]
     # hundredths of a second are all that the format knows; rounding errors must not add up
@@ -84,7 +84,7 @@ def encode_gif(clip: Clip) -> bytes:
 
 
 ENCODER: Final = "libx264"
-SCALE: Final = 2
+MP4_SCALE: Final = 2
 """Of `stick_figure.SIZE`."""
 QUALITY: Final = "18"
 """x264's constant rate factor: lines without visible blocks."""
@@ -105,11 +105,11 @@ def encode_mp4(clip: Clip) -> bytes:
     buffer = io.BytesIO()
     with av.open(buffer, "w", format="mp4") as file:
         stream = file.add_stream(ENCODER, rate=Fraction(clip.fps).limit_denominator(_FINEST), options={"crf": QUALITY})
-        stream.width, stream.height = SIZE[0] * SCALE, SIZE[1] * SCALE
+        stream.width, stream.height = SIZE[0] * MP4_SCALE, SIZE[1] * MP4_SCALE
         stream.pix_fmt = "yuv420p"  # the one that every player knows
         # how a picture is split among threads shows in its bytes, and would differ with the number of cores
         stream.thread_count = 1
         for pose in clip.shown:
-            file.mux(stream.encode(av.VideoFrame.from_ndarray(np.asarray(picture(pose, SCALE)))))
+            file.mux(stream.encode(av.VideoFrame.from_ndarray(np.asarray(draw_pose(pose, MP4_SCALE)))))
         file.mux(stream.encode(None))
     return buffer.getvalue()

@@ -1,1 +1,1 @@
-"""Motion as joints: skeleton, features, rotations and the `Clip` a caller receives."""
+"""Maths of motion: arrays of joints, features and rotations in, arrays out. Knows no clips, files or models."""

@@ -1,8 +1,13 @@
-"""Poses as they compare wherever the body is and whichever way it faces: to find where motions can be joined.
+"""Blending of motions: clips stitched one after another, and clips closed into loops.
 
-Clips one after another: joined where poses are alike, turned and moved to fit, blended, feet held.
+Where to cut is found by comparing frames as in motion graphs (Kovar et al., 2002): pose, joint velocities and velocity
+over the floor, each in the facing frame of its body, so that neither place nor heading counts. Blends mix joint
+rotations, not positions: a mix of positions would shorten an arm that goes from below to above.
 
-A clip without a seam: its last frame is its first again, but for travel, which goes on from round to round."""
+A loop is a clip whose last frame is its first one again, one round later. Travel and heading go on from round to round.
+
+Joints are (frames, 22, 3) metres with Y up; a stitched motion stays in the world frame of its first clip.
+"""
 
 from __future__ import annotations
 
@@ -17,252 +22,295 @@ from kinegraph.errors import InvalidInputError
 from kinegraph.motion.kinematics import forward_kinematics, rotations_from_positions
 from kinegraph.motion.postprocess import enforce_bone_lengths, lock_feet
 from kinegraph.motion.quaternions import about_axis, conjugate, multiply, rotate, slerp
-from kinegraph.motion.skeleton import PELVIS, bone_lengths, canonicalise, facing_angle
+from kinegraph.motion.skeleton import HORIZONTAL, PELVIS, bone_lengths, canonicalise, facing_angle
 
-OVER_FLOOR: Final = np.array([1.0, 0.0, 1.0])
-"""What travel has of a place (x, y, z)."""
 VELOCITY_SECONDS: Final = 0.2
-"""A difference in speed counts as the distance it makes in that time."""
-
-
-def local_poses(joints: FloatArray) -> Floats:
-    """(frames, 22, 3) with the pelvis above the origin and the body facing +Z."""
-    centred = joints - joints[:, :1] * OVER_FLOOR
-    back = about_axis(1, -facing_angle(joints).astype(np.float64))
-    return rotate(back[:, None], centred)
-
-
-def states(joints: FloatArray, fps: float) -> Floats:
-    """(frames, 45, 3): poses in the facing frame, their speed, and the speed over the floor, all as metres."""
-    poses = local_poses(joints)
-    speed = np.gradient(poses, axis=0) * fps * VELOCITY_SECONDS
-    over_floor = np.gradient(joints[:, :1].astype(np.float64), axis=0) * fps * VELOCITY_SECONDS
-    back = about_axis(1, -facing_angle(joints).astype(np.float64))
-    return np.concatenate([poses, speed, rotate(back[:, None], over_floor)], axis=1)
-
-
-def smoothstep(part: Floats) -> Floats:
-    """0 to 1 -> 0 to 1, level at both ends: what the second of two motions counts, `part` of the way to it."""
-    return np.asarray(part * part * (3 - 2 * part))
-
-
-def accelerations(joints: Floats, fps: float) -> Floats:
-    """(frames - 2,) m/s^2 of the joint that is accelerated most; number k is about frame k + 1."""
-    second = np.diff(np.asarray(joints, dtype=np.float64), n=2, axis=0)
-    return np.asarray(np.linalg.norm(second, axis=-1).max(axis=1) * fps**2)
-
+"""Turns velocities into metres: a difference in velocity counts as the distance it makes in this time."""
 
 BLEND_SECONDS: Final = (0.5, 0.7, 0.9, 1.1)
-"""Over which one clip becomes the next: the first that is `CALM`. Hands that have far to go take longer."""
+"""Durations to try for a blend, shortest first; hands that have far to go need longer."""
 CALM: Final = 1.6
-"""Largest acceleration in a blend, in 95th percentiles of those of the two clips."""
-KEPT: Final = 0.6
-"""Share of a clip that no join may cut away at either end."""
+"""Largest acceleration allowed in a blend, in 95 % quantiles of the accelerations of both clips."""
+MIN_KEPT: Final = 0.6
+"""Share of a clip that no transition may cut away at either end."""
 
-
-def stitch(clips: Sequence[FloatArray], fps: float, *, foot_fix: bool = True) -> FloatArray:
-    """One motion from several, each going on where the one before it leaves off.
-
-    Args:
-        clips: (frames, 22, 3) metres each, of one body; at least one.
-        fps: frames per second of all of them.
-        foot_fix: hold feet that stand, also while one clip becomes the next.
-
-    Returns:
-        (frames, 22, 3); shorter than all clips together by the blends and what the joins cut away.
-    """
-    whole = clips[0]
-    if len(clips) == 1:
-        return whole
-    lengths = np.median(np.concatenate([bone_lengths(clip) for clip in clips]), axis=0).astype(np.float32)
-    for clip in clips[1:]:
-        whole = best_blend(whole, clip, fps).joints
-    whole = enforce_bone_lengths(whole, lengths)
-    return lock_feet(whole, fps) if foot_fix else whole
-
-
-@dataclass(frozen=True)
-class Blend:
-    """Two clips as one motion."""
-
-    joints: FloatArray
-    """(frames, 22, 3) metres."""
-    start: int
-    """The first frame in which both have a say."""
-    frames: int
-    """How many there are."""
-
-    def acceleration(self, fps: float) -> float:
-        """Largest of a joint in any frame that the blend has changed, m/s^2."""
-        # number k of accelerations is about frame k + 1
-        own = accelerations(self.joints, fps)[max(0, self.start - 2) : self.start + self.frames]
-        return float(own.max(initial=0.0))
-
-
-def best_blend(first: FloatArray, second: FloatArray, fps: float) -> Blend:
-    """The shortest of `BLEND_SECONDS` that is `CALM`, or else the calmest."""
-    own = np.concatenate([[0.0], *(accelerations(clip, fps) for clip in (first, second))])
-    calm = CALM * float(np.quantile(own, 0.95))
-    found: list[Blend] = []
-    for seconds in BLEND_SECONDS:
-        window = max(2, min(round(seconds * fps), len(first) // 2, len(second) // 2))
-        found.append(_blend(first, second, window, fps))
-        if found[-1].acceleration(fps) <= calm:
-            return found[-1]
-    return min(found, key=lambda blend: blend.acceleration(fps))
-
-
-def best_join(first: FloatArray, second: FloatArray, window: int, fps: float) -> tuple[int, int]:
-    """Frames (a, b) such that `first[a : a + window]` goes best with `second[b : b + window]`.
-
-    Compared are poses, their speed, and the speed of the body over the floor, at both ends of the window.
-    """
-    ends = states(first, fps), states(second, fps)
-    a = np.arange(min(len(first) - window, round(KEPT * len(first))), len(first) - window + 1)
-    b = np.arange(0, max(1, min(len(second) - window, round((1 - KEPT) * len(second))) + 1))
-    cost = np.zeros((len(a), len(b)))
-    for shift in (0, window - 1):
-        one, other = ends[0][a + shift], ends[1][b + shift]
-        cost += np.linalg.norm(one[:, None] - other[None], axis=-1).mean(axis=-1)
-    row, column = np.unravel_index(np.argmin(cost), cost.shape)
-    return int(a[row]), int(b[column])
-
-
-def _blend(first: FloatArray, second: FloatArray, window: int, fps: float) -> Blend:
-    a, b = best_join(first, second, window, fps)
-    end, start = first[a : a + window].astype(np.float64), second[b:].astype(np.float64)
-    middle = window // 2
-    turn = facing_angle(first)[a + middle] - facing_angle(second)[b + middle]
-    pivot = start[middle, 0] * OVER_FLOOR
-    start = rotate(about_axis(1, np.array(float(turn))), start - pivot) + end[middle, 0] * OVER_FLOOR
-    blend = _between(end, start[:window], smoothstep((np.arange(window) + 1.0) / (window + 1.0)), fps)
-    return Blend(np.concatenate([first[:a], blend, start[window:]]).astype(np.float32), a, window)
-
-
-def _between(first: Floats, second: Floats, share: Floats, fps: float) -> Floats:
-    """Both motions (frames, 22, 3) as one, `share` (frames,) of it the second.
-
-    Turns are mixed along the shorter way: a mix of positions would shorten an arm that goes from below to above.
-    """
-    one, other = rotations_from_positions(first, fps), rotations_from_positions(second, fps)
-    offsets = (one.rest_offsets + other.rest_offsets) / 2
-    left = [
-        joints - forward_kinematics(offsets, own.root, own.rotations) for joints, own in ((first, one), (second, other))
-    ]
-    turns = slerp(one.rotations, other.rotations, share[:, None])
-    along = share[:, None, None]
-    root = one.root + along[:, 0] * (other.root - one.root)
-    # what fixed bones cannot follow is put back, so that nothing jumps where the blend begins and ends
-    return forward_kinematics(offsets, root, turns) + left[0] + along * (left[1] - left[0])
-
-
-SHORTEST: Final = 0.5
+MIN_LOOP: Final = 0.5
 """Share of a clip that a loop keeps at least."""
 LOOP_BLEND_SECONDS: Final = 0.5
-"""In which the end of a loop turns into its beginning."""
-COMPARED_FPS: Final = 20.0
-"""Frames per second of which ends are looked for."""
+"""Duration over which the end of a loop is blended into its start."""
+SEARCH_FPS: Final = 20.0
+"""Frames per second at which the ends of a loop are searched."""
 STAYS: Final = 0.15
-"""Metres: a body that has moved less than this in a round is meant to stay."""
+"""Metres: a body that has travelled less than this in a round is meant to stay."""
 STRAIGHT: Final = 0.35
 """Radians: a body that has turned less than this in a round is meant to go straight on."""
 
 
-def make_loop(joints: FloatArray, fps: float, *, foot_fix: bool = True) -> FloatArray:
-    """Cut where the pose comes back, its end blended into its start; the last frame closes the round.
+@dataclass(frozen=True)
+class Blend:
+    """Two clips blended into one motion."""
 
-    Pose, height and lean come back exactly. Travel and heading go on from round to round, unless they are small:
-    then they are taken away evenly over the round.
+    joints: FloatArray
+    """(frames, 22, 3) metres."""
+    start: int
+    """First frame of the blend."""
+    frames: int
+    """Length of the blend."""
+
+    def peak_acceleration(self, fps: float) -> float:
+        """Measure the largest acceleration of any joint in the frames that the blend has changed, m/s^2."""
+        # entry k of peak_accelerations belongs to frame k + 1
+        changed = peak_accelerations(self.joints, fps)[max(0, self.start - 2) : self.start + self.frames]
+        return float(changed.max(initial=0.0))
+
+
+def stitch(clips: Sequence[FloatArray], fps: float, *, foot_fix: bool = True) -> FloatArray:
+    """Join clips into one motion, each turned and moved to go on where the one before it leaves off.
+
+    Args:
+        clips: (frames, 22, 3) metres each, of one body; at least one.
+        fps: frames per second of all clips.
+        foot_fix: lock planted feet, also during the blends.
+
+    Returns:
+        (frames, 22, 3) metres; shorter than all clips together by the blends and by what the transitions cut away.
+    """
+    motion = clips[0]
+    if len(clips) == 1:
+        return motion
+    lengths = np.median(np.concatenate([bone_lengths(clip) for clip in clips]), axis=0).astype(np.float32)
+    for clip in clips[1:]:
+        motion = best_blend(motion, clip, fps).joints
+    motion = enforce_bone_lengths(motion, lengths)
+    return lock_feet(motion, fps) if foot_fix else motion
+
+
+def make_loop(joints: FloatArray, fps: float, *, foot_fix: bool = True) -> FloatArray:
+    """Cut a clip where its pose recurs and blend its end into its start.
+
+    Pose, height and lean come back exactly in the last frame. Travel and heading go on from round to round unless they
+    are small; small ones are removed evenly over the round.
 
     Args:
         joints: (frames, 22, 3) metres, Y up.
         fps: frames per second.
-        foot_fix: hold feet that stand, also over the seam.
+        foot_fix: lock planted feet, also over the seam.
 
     Returns:
-        (frames', 22, 3), half of the frames at least; from the origin, facing +Z.
+        (frames', 22, 3) float32 metres, at least half of the frames; canonical (`skeleton.canonicalise`).
 
     Raises:
         InvalidInputError: fewer than 8 frames.
     """
     if len(joints) < 8:
         raise InvalidInputError(f"a loop needs 8 frames, this clip has {len(joints)}")
-    start, end = _best_cut(joints, fps)
-    whole = _blended(_evened(joints[start : end + 1]), fps)
-    travel = _Travel.of(whole)
+    start, end = _best_loop(joints, fps)
+    loop = _close_loop(_remove_drift(joints[start : end + 1]), fps)
+    travel = _RoundTravel.of_loop(loop)
     if foot_fix:
-        rounds = [whole[:-1], travel.on(whole[:-1]), travel.on(travel.on(whole[:-1]))]
-        middle = slice(len(whole) - 1, 2 * (len(whole) - 1))
-        held = lock_feet(np.concatenate(rounds).astype(np.float32), fps).astype(np.float64)[middle]
-        whole = travel.back(held)
-        whole = np.concatenate([whole, travel.on(whole[:1])])
-    return canonicalise(whole.astype(np.float32))
+        # lock the feet of three rounds and keep the middle one, whose contacts go on over both seams
+        rounds = [loop[:-1], travel.advance(loop[:-1]), travel.advance(travel.advance(loop[:-1]))]
+        middle = slice(len(loop) - 1, 2 * (len(loop) - 1))
+        locked = lock_feet(np.concatenate(rounds).astype(np.float32), fps).astype(np.float64)[middle]
+        loop = travel.rewind(locked)
+        loop = np.concatenate([loop, travel.advance(loop[:1])])
+    return canonicalise(loop.astype(np.float32))
+
+
+def canonical_poses(joints: FloatArray) -> Floats:
+    """Express every pose in its own facing frame: pelvis above the origin, body facing +Z.
+
+    Args:
+        joints: (frames, 22, 3) metres.
+
+    Returns:
+        (frames, 22, 3) metres.
+    """
+    centred = joints - joints[:, :1] * HORIZONTAL
+    to_facing = about_axis(1, -facing_angle(joints).astype(np.float64))
+    return rotate(to_facing[:, None], centred)
+
+
+def matching_features(joints: FloatArray, fps: float) -> Floats:
+    """Compute what two frames are compared by: pose, joint velocities and velocity over the floor.
+
+    Args:
+        joints: (frames, 22, 3) metres.
+        fps: frames per second.
+
+    Returns:
+        (frames, 45, 3) metres in each frame's facing frame; velocities are scaled by `VELOCITY_SECONDS`.
+    """
+    poses = canonical_poses(joints)
+    velocities = np.gradient(poses, axis=0) * fps * VELOCITY_SECONDS
+    root_velocity = np.gradient(joints[:, :1].astype(np.float64), axis=0) * fps * VELOCITY_SECONDS
+    to_facing = about_axis(1, -facing_angle(joints).astype(np.float64))
+    return np.concatenate([poses, velocities, rotate(to_facing[:, None], root_velocity)], axis=1)
+
+
+def peak_accelerations(joints: Floats, fps: float) -> Floats:
+    """Measure the acceleration of the joint that is accelerated most, in each frame but the first and last.
+
+    Args:
+        joints: (frames, 22, 3) metres.
+        fps: frames per second.
+
+    Returns:
+        (frames - 2,) m/s^2; entry k belongs to frame k + 1.
+    """
+    second = np.diff(np.asarray(joints, dtype=np.float64), n=2, axis=0)
+    return np.asarray(np.linalg.norm(second, axis=-1).max(axis=1) * fps**2)
+
+
+def smoothstep(share: Floats) -> Floats:
+    """Ease a share from 0 to 1, with zero slope at both ends: 3 s^2 - 2 s^3."""
+    return np.asarray(share * share * (3 - 2 * share))
+
+
+def best_blend(first: FloatArray, second: FloatArray, fps: float) -> Blend:
+    """Blend two clips over the shortest of `BLEND_SECONDS` that is `CALM`, or else over the calmest.
+
+    Args:
+        first, second: (frames, 22, 3) metres each.
+        fps: frames per second of both.
+
+    Returns:
+        The blended motion, in the world frame of `first`.
+    """
+    accelerations = np.concatenate([[0.0], *(peak_accelerations(clip, fps) for clip in (first, second))])
+    limit = CALM * float(np.quantile(accelerations, 0.95))
+    blends: list[Blend] = []
+    for seconds in BLEND_SECONDS:
+        window = max(2, min(round(seconds * fps), len(first) // 2, len(second) // 2))
+        blends.append(_blend(first, second, window, fps))
+        if blends[-1].peak_acceleration(fps) <= limit:
+            return blends[-1]
+    return min(blends, key=lambda blend: blend.peak_acceleration(fps))
+
+
+def best_transition(first: FloatArray, second: FloatArray, window: int, fps: float) -> tuple[int, int]:
+    """Find the frames (a, b) for which `first[a : a + window]` blends best into `second[b : b + window]`.
+
+    The cost is the distance of `matching_features` at both ends of the window.
+
+    Args:
+        first, second: (frames, 22, 3) metres each.
+        window: frames of the blend.
+        fps: frames per second of both.
+    """
+    first_features, second_features = matching_features(first, fps), matching_features(second, fps)
+    a = np.arange(min(len(first) - window, round(MIN_KEPT * len(first))), len(first) - window + 1)
+    b = np.arange(0, max(1, min(len(second) - window, round((1 - MIN_KEPT) * len(second))) + 1))
+    cost = np.zeros((len(a), len(b)))
+    for shift in (0, window - 1):
+        difference = first_features[a + shift][:, None] - second_features[b + shift][None]
+        cost += np.linalg.norm(difference, axis=-1).mean(axis=-1)
+    row, column = np.unravel_index(np.argmin(cost), cost.shape)
+    return int(a[row]), int(b[column])
+
+
+def _blend(first: FloatArray, second: FloatArray, window: int, fps: float) -> Blend:
+    """Blend two clips over `window` frames at their best transition."""
+    a, b = best_transition(first, second, window, fps)
+    end, start = first[a : a + window].astype(np.float64), second[b:].astype(np.float64)
+    # align the second clip: same heading and same place over the floor in the middle of the window
+    middle = window // 2
+    angle = facing_angle(first)[a + middle] - facing_angle(second)[b + middle]
+    pivot = start[middle, 0] * HORIZONTAL
+    start = rotate(about_axis(1, np.array(float(angle))), start - pivot) + end[middle, 0] * HORIZONTAL
+    share = smoothstep((np.arange(window) + 1.0) / (window + 1.0))
+    blend = _mix(end, start[:window], share, fps)
+    return Blend(np.concatenate([first[:a], blend, start[window:]]).astype(np.float32), a, window)
+
+
+def _mix(first: Floats, second: Floats, share: Floats, fps: float) -> Floats:
+    """Mix two motions (frames, 22, 3) by joint rotations, `share` (frames,) of it the second."""
+    motions = rotations_from_positions(first, fps), rotations_from_positions(second, fps)
+    offsets = (motions[0].rest_offsets + motions[1].rest_offsets) / 2
+    residuals = [
+        joints - forward_kinematics(offsets, motion.root, motion.rotations)
+        for joints, motion in zip((first, second), motions, strict=True)
+    ]
+    rotations = slerp(motions[0].rotations, motions[1].rotations, share[:, None])
+    share = share[:, None, None]
+    root = motions[0].root + share[:, 0] * (motions[1].root - motions[0].root)
+    # what rigid bones cannot follow is added back, so that nothing jumps where the blend begins and ends
+    return forward_kinematics(offsets, root, rotations) + residuals[0] + share * (residuals[1] - residuals[0])
 
 
 @dataclass(frozen=True)
-class _Travel:
-    """What one round adds: a turn about Y, and a way over the floor."""
+class _RoundTravel:
+    """Rigid transform from one round of a loop to the next: a rotation about Y and a translation over the floor."""
 
-    turn: Floats
+    rotation: Floats
     """(4,) quaternion."""
-    begin: Floats
+    start: Floats
+    """(3,) metres: the pelvis on the floor plane at the start of the first round."""
     end: Floats
-    """(3,) the pelvis over the floor, at both ends of the first round."""
+    """(3,) metres: the same at its end."""
 
     @classmethod
-    def of(cls, joints: Floats) -> _Travel:
-        """Of a motion whose last frame is its first one round later."""
+    def of_loop(cls, joints: Floats) -> _RoundTravel:
+        """Measure the travel of a motion whose last frame is its first one round later."""
         heading = facing_angle(joints[[0, -1]].astype(np.float32)).astype(np.float64)
-        begin, end = joints[[0, -1], PELVIS] * OVER_FLOOR
-        return cls(about_axis(1, np.array(heading[1] - heading[0])), begin, end)
+        start, end = joints[[0, -1], PELVIS] * HORIZONTAL
+        return cls(about_axis(1, np.array(heading[1] - heading[0])), start, end)
 
-    def on(self, joints: Floats) -> Floats:
-        """The same one round later."""
-        return rotate(self.turn, joints - self.begin) + self.end
+    def advance(self, joints: Floats) -> Floats:
+        """Move joints one round forward."""
+        return rotate(self.rotation, joints - self.start) + self.end
 
-    def back(self, joints: Floats) -> Floats:
-        """The same one round earlier."""
-        return rotate(conjugate(self.turn), joints - self.end) + self.begin
+    def rewind(self, joints: Floats) -> Floats:
+        """Move joints one round back."""
+        return rotate(conjugate(self.rotation), joints - self.end) + self.start
 
 
-def _best_cut(joints: FloatArray, fps: float) -> tuple[int, int]:
-    """Two frames that are most alike, in pose and in how they move, with at least `SHORTEST` of the clip between."""
-    every = max(1, round(fps / COMPARED_FPS))
-    seen = states(joints, fps)[::every]
-    least = max(4, round(SHORTEST * len(seen)))
-    cost = np.full((len(seen) - least, len(seen)), np.inf)
+def _best_loop(joints: FloatArray, fps: float) -> tuple[int, int]:
+    """Find the two frames that match best, with at least `MIN_LOOP` of the clip between them."""
+    stride = max(1, round(fps / SEARCH_FPS))
+    features = matching_features(joints, fps)[::stride]
+    min_length = max(4, round(MIN_LOOP * len(features)))
+    cost = np.full((len(features) - min_length, len(features)), np.inf)
     for start in range(len(cost)):
-        cost[start, start + least :] = np.linalg.norm(seen[start + least :] - seen[start], axis=-1).mean(axis=-1)
+        difference = features[start + min_length :] - features[start]
+        cost[start, start + min_length :] = np.linalg.norm(difference, axis=-1).mean(axis=-1)
     first, last = np.unravel_index(np.argmin(cost), cost.shape)
-    return int(first) * every, int(last) * every
+    return int(first) * stride, int(last) * stride
 
 
-def _evened(joints: FloatArray) -> Floats:
-    """Without the little that a body which stays moves, and one that goes straight on turns, in a round."""
+def _remove_drift(joints: FloatArray) -> Floats:
+    """Remove residual drift from a round (frames, 22, 3).
+
+    Subtract net travel below `STAYS` metres and net turn below `STRAIGHT` radians evenly over the loop.
+    """
     heading = facing_angle(joints).astype(np.float64)
-    part = np.linspace(0.0, 1.0, len(joints))
-    turned = heading[-1] - heading[0]
-    even = about_axis(1, -part * turned if abs(turned) < STRAIGHT else 0.0 * part)
+    progress = np.linspace(0.0, 1.0, len(joints))
+    net_turn = heading[-1] - heading[0]
+    correction = about_axis(1, -progress * net_turn if abs(net_turn) < STRAIGHT else 0.0 * progress)
+    # rotate each step of the pelvis, then add them up to its path
     pelvis = joints[:, PELVIS].astype(np.float64)
-    steps = rotate(even[1:], np.diff(pelvis, axis=0))
+    steps = rotate(correction[1:], np.diff(pelvis, axis=0))
     path = pelvis[0] + np.concatenate([np.zeros((1, 3)), np.cumsum(steps, axis=0)])
-    moved = (path[-1] - path[0]) * OVER_FLOOR
-    if np.linalg.norm(moved) < STAYS:
-        path = path - part[:, None] * moved
-    return np.asarray(rotate(even[:, None], joints - pelvis[:, None]) + path[:, None])
+    net_travel = (path[-1] - path[0]) * HORIZONTAL
+    if np.linalg.norm(net_travel) < STAYS:
+        path = path - progress[:, None] * net_travel
+    return np.asarray(rotate(correction[:, None], joints - pelvis[:, None]) + path[:, None])
 
 
-def _blended(joints: Floats, fps: float) -> Floats:
-    """What is missing for the last frame to be the first again, spread over the frames before it, smoothly."""
+def _close_loop(joints: Floats, fps: float) -> Floats:
+    """Blend the end of a round (frames, 22, 3) into its first pose, so that the last frame equals the first.
+
+    The root rotation is blended relative to the heading, so that the body keeps turning as it did.
+    """
     motion = rotations_from_positions(joints, fps)
     window = max(2, min(len(joints) // 2, round(LOOP_BLEND_SECONDS * fps)))
     share = np.zeros(len(joints))
     share[len(joints) - window :] = smoothstep((np.arange(window) + 1.0) / window)
     heading = about_axis(1, facing_angle(joints.astype(np.float32)).astype(np.float64))
-    turns = motion.rotations.copy()
-    turns[:, 0] = multiply(conjugate(heading), turns[:, 0])
-    turns = slerp(turns, np.broadcast_to(turns[:1], turns.shape), share[:, None])
-    turns[:, 0] = multiply(heading, turns[:, 0])
+    rotations = motion.rotations.copy()
+    rotations[:, 0] = multiply(conjugate(heading), rotations[:, 0])
+    rotations = slerp(rotations, np.broadcast_to(rotations[:1], rotations.shape), share[:, None])
+    rotations[:, 0] = multiply(heading, rotations[:, 0])
     root = motion.root.copy()
     root[:, 1] += share * (motion.root[0, 1] - root[:, 1])
-    return forward_kinematics(motion.rest_offsets, root, turns)
+    return forward_kinematics(motion.rest_offsets, root, rotations)

@@ -1,6 +1,6 @@
-"""Layout `joints-137`: joints -> features -> joints.
+"""Feature layout `joints-137`: conversion between joints and the features that models see.
 
-One row per frame, in the body's facing frame (see `skeleton.facing_angle`, unsmoothed):
+One row per frame, in the facing frame of that frame's body (`skeleton.facing_angle`, not smoothed):
 
     yaw velocity          1    rad / frame, positive to the left
     root velocity         2    m / frame, x (left) and z (forward)
@@ -9,8 +9,8 @@ One row per frame, in the body's facing frame (see `skeleton.facing_angle`, unsm
     velocities           66    22 joints, m / frame
     contacts              4    left ankle, left toe, right ankle, right toe: 1 while planted
 
-It is HumanML3D's layout (Guo et al., 2022) without the 126 rotations, which no animation file can use, and with
-the true facing. T frames give T rows; the velocities of the last row repeat those before it.
+This is HumanML3D's layout (Guo et al., 2022) without its 126 rotations, which no animation file can use, and with
+the true facing direction. T frames give T rows; the last row repeats the velocities of the row before it.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from typing import Final
 import numpy as np
 
 from kinegraph.arrays import FloatArray
-from kinegraph.motion.skeleton import FEET, JOINTS, facing_angle
+from kinegraph.motion.skeleton import FEET, HORIZONTAL, JOINTS, facing_angle
 
 YAW_VELOCITY: Final = slice(0, 1)
 ROOT_VELOCITY: Final = slice(1, 3)
@@ -31,24 +31,20 @@ CONTACTS: Final = slice(133, 137)
 WIDTH: Final = 137
 
 GROUPS: Final[tuple[slice, ...]] = (YAW_VELOCITY, ROOT_VELOCITY, HEIGHT, POSITIONS, VELOCITIES, CONTACTS)
-"""Features are normalised per group: some single ones are nearly constant."""
+"""Columns that share one standard deviation: some single features are nearly constant."""
 
 CONTACT_SPEED: Final = 0.018
-"""m / frame at 20 frames per second (0.36 m/s); HumanML3D's 0.9 m/s calls 81 % of all frames planted."""
+"""Metres per frame at 20 frames per second (0.36 m/s); slower feet count as planted.
+
+HumanML3D's 0.9 m/s would call 81 % of all frames planted.
+"""
 
 CONTACT_HEIGHT: Final[tuple[float, ...]] = (0.16, 0.08, 0.16, 0.08)
-"""m; a foot above it is in the air however slow it is. Order of `skeleton.FEET`."""
-
-
-def _to_facing(vectors: FloatArray, angle: FloatArray) -> FloatArray:
-    """Rotate (frames, n, 3) vectors by -angle about Y: from the world into each frame's facing frame."""
-    cos, sin = np.cos(angle)[:, None], np.sin(angle)[:, None]
-    x, y, z = vectors[..., 0], vectors[..., 1], vectors[..., 2]
-    return np.stack([cos * x - sin * z, y, sin * x + cos * z], axis=-1)
+"""Metres, in the order of `skeleton.FEET`; a foot above is in the air however slow it is."""
 
 
 def features_from_joints(joints: FloatArray) -> FloatArray:
-    """Features of a clip that stands on the floor y = 0.
+    """Convert the joints of a clip that stands on the floor y = 0 to features.
 
     Args:
         joints: (frames, 22, 3) metres, Y up, at least two frames.
@@ -62,10 +58,10 @@ def features_from_joints(joints: FloatArray) -> FloatArray:
     step = np.concatenate([step, step[-1:]])
     yaw_velocity = np.diff(angle)
     yaw_velocity = np.concatenate([yaw_velocity, yaw_velocity[-1:]])
-    on_floor = joints[:, :1] * np.array([1.0, 0.0, 1.0], dtype=np.float32)
-    positions = _to_facing(joints[:, 1:] - on_floor, angle)
-    # Rotating the repeated last step by the last heading keeps the last row consistent with its own frame.
-    velocities = _to_facing(step, angle)
+    pelvis_on_floor = joints[:, :1] * HORIZONTAL.astype(np.float32)
+    positions = _to_facing_frame(joints[:, 1:] - pelvis_on_floor, angle)
+    # the repeated last step is rotated by the last heading, so that the last row fits its own frame
+    velocities = _to_facing_frame(step, angle)
     planted = (np.linalg.norm(step[:, FEET], axis=-1) < CONTACT_SPEED) & (joints[:, FEET, 1] < CONTACT_HEIGHT)
     rows = np.concatenate(
         [
@@ -82,11 +78,13 @@ def features_from_joints(joints: FloatArray) -> FloatArray:
 
 
 def joints_from_features(features: FloatArray, *, heading: float = 0.0) -> FloatArray:
-    """Joints of a clip that starts at the origin.
+    """Convert features to the joints of a clip that starts at the origin.
+
+    Integrates yaw and root velocity over time; local positions are rotated back by the heading.
 
     Args:
         features: (frames, 137), not normalised.
-        heading: facing angle of the first frame, radians; 0 faces +Z. Features do not hold it.
+        heading: facing angle of the first frame, radians; 0 faces +Z. Features do not store it.
 
     Returns:
         (frames, 22, 3) float32 metres.
@@ -95,6 +93,7 @@ def joints_from_features(features: FloatArray, *, heading: float = 0.0) -> Float
     frames = len(features)
     angle = heading + np.concatenate([[0.0], np.cumsum(features[:-1, 0])])
     cos, sin = np.cos(angle), np.sin(angle)
+    # root velocity from the facing frame to the world: rotation by +angle about Y
     left, forward = features[:, 1], features[:, 2]
     step = np.stack([cos * left + sin * forward, -sin * left + cos * forward], axis=-1)
     root = np.concatenate([np.zeros((1, 2)), np.cumsum(step[:-1], axis=0)])
@@ -108,9 +107,16 @@ def joints_from_features(features: FloatArray, *, heading: float = 0.0) -> Float
 
 
 def normalisation(clips: list[FloatArray]) -> tuple[FloatArray, FloatArray]:
-    """Mean per feature and standard deviation per group over clips of (frames, 137); both (137,).
+    """Compute the statistics that normalise features: mean per feature, standard deviation per group.
 
-    A group that never changes (feet that never lift) gets 1, so that its normalised features are 0 and not NaN.
+    A group that never changes (feet that never lift) gets a deviation of 1, so that its normalised features are 0
+    and not NaN.
+
+    Args:
+        clips: (frames, 137) each.
+
+    Returns:
+        Mean and standard deviation, both (137,) float32.
     """
     rows = np.concatenate(clips).astype(np.float64)
     mean = rows.mean(axis=0)
@@ -120,3 +126,10 @@ def normalisation(clips: list[FloatArray]) -> tuple[FloatArray, FloatArray]:
         deviation = np.sqrt(variance[group].mean())
         std[group] = deviation if deviation > 1e-6 else 1.0
     return mean.astype(np.float32), std.astype(np.float32)
+
+
+def _to_facing_frame(vectors: FloatArray, angle: FloatArray) -> FloatArray:
+    """Rotate world vectors (frames, n, 3) by -`angle` (frames,) about Y, into each frame's facing frame."""
+    cos, sin = np.cos(angle)[:, None], np.sin(angle)[:, None]
+    x, y, z = vectors[..., 0], vectors[..., 1], vectors[..., 2]
+    return np.stack([cos * x - sin * z, y, sin * x + cos * z], axis=-1)

@@ -1,6 +1,9 @@
-"""Feet that stand stay where they stand: contacts read off the joints, ankles pinned by two-bone inverse kinematics.
+"""Post-processing of decoded joints: constant bone lengths and foot locking.
 
-Bones that keep their length: a decoder places every joint by itself, and is off by a millimetre or two."""
+A decoder places every joint by itself, so bones change length by a millimetre or two and planted feet slide.
+`enforce_bone_lengths` projects a motion onto a skeleton with rigid bones. `lock_feet` detects contacts from the joints
+and holds planted toes with two-bone inverse kinematics. All positions are in metres in a world frame with Y up.
+"""
 
 from __future__ import annotations
 
@@ -11,147 +14,47 @@ from numpy.typing import NDArray
 
 from kinegraph.arrays import FloatArray, Floats
 from kinegraph.motion.quaternions import normalised
-from kinegraph.motion.skeleton import JOINT_INDEX, JOINTS, PARENTS, bone_lengths
+from kinegraph.motion.skeleton import HORIZONTAL, JOINT_INDEX, JOINTS, PARENTS, bone_lengths
 
-SIDES: Final[tuple[tuple[int, int, int, int], ...]] = tuple(
+LEGS: Final[tuple[tuple[int, int, int, int], ...]] = tuple(
     (JOINT_INDEX[f"{side}_hip"], JOINT_INDEX[f"{side}_knee"], JOINT_INDEX[f"{side}_ankle"], JOINT_INDEX[f"{side}_foot"])
     for side in ("left", "right")
 )
 """Hip, knee, ankle and toe of both legs."""
 
-STANDS: Final = 0.5
-"""m/s over the floor: a toe that is slower and low stands, or is meant to."""
-LOW: Final = 0.07
-"""Metres above the toe's lowest tenth."""
-SHORTEST_STAND: Final = 0.15
-"""Seconds; a shorter contact is a swinging foot that happens to be slow."""
-RAMP: Final = 0.2
-"""Seconds in which a correction comes and goes beside a contact."""
-PER_JERK: Final = 6e-5
-"""Metres of correction beside a contact that count as much as a jerk of 1 m/s^3."""
-_OVER_FLOOR: Final = np.array([1.0, 0.0, 1.0])
-FURTHEST: Final = 0.08
-"""Metres: a foot that is further from where it would stand is meant to move."""
-STRETCHED: Final = 0.98
-"""Of the length of a leg: the nearer to straight, the further the knee moves for a centimetre of the foot; no leg is
-stretched beyond this that was not."""
+CONTACT_SPEED: Final = 0.5
+"""m/s over the floor: a toe that is low and slower than this is planted, or is meant to be."""
+CONTACT_HEIGHT: Final = 0.07
+"""Metres above the 10 % quantile of the toe's height."""
+MIN_CONTACT_SECONDS: Final = 0.15
+"""A shorter contact is a swinging foot that happens to be slow."""
+RAMP_SECONDS: Final = 0.2
+"""Time in which a correction comes and goes before and after a contact."""
+METRES_PER_JERK: Final = 6e-5
+"""Metres of correction beside a contact that cost as much as a jerk of 1 m/s^3."""
+MAX_CORRECTION: Final = 0.08
+"""Metres: a foot that is further from its locked position is meant to move."""
+MAX_EXTENSION: Final = 0.98
+"""Distance of hip and ankle as a share of the leg's length, unless the leg was straighter before.
 
-
-def lock_feet(joints: FloatArray, fps: float) -> FloatArray:
-    """The nearby motion whose standing toes do not slide.
-
-    While a foot stands, its toe is held where it was on average; beside a contact it takes the path of least jerk. The
-    whole foot moves with its toe, the knee bends in its own plane, and all bones keep their length.
-
-    Args:
-        joints: (frames, 22, 3) metres, Y up.
-        fps: frames per second.
-
-    Returns:
-        (frames, 22, 3).
-    """
-    found = joints.astype(np.float64)
-    for hip, knee, ankle, toe in SIDES:
-        shift = _shifts(found[:, toe], fps)
-        if not shift.any():
-            continue
-        new_knee, new_ankle = two_bones(found[:, hip], found[:, knee], found[:, ankle], found[:, ankle] + shift)
-        found[:, toe] += new_ankle - found[:, ankle]
-        found[:, knee], found[:, ankle] = new_knee, new_ankle
-    return found.astype(np.float32)
-
-
-def contacts(toe: Floats, fps: float) -> list[tuple[int, int]]:
-    """First and last frame + 1 of every time a toe (frames, 3) stands."""
-    if len(toe) < 3:
-        return []
-    speed = np.linalg.norm(np.gradient(toe[:, [0, 2]], axis=0), axis=-1) * fps
-    down = (speed < STANDS) & (toe[:, 1] < np.quantile(toe[:, 1], 0.1) + LOW)
-    return [(start, end) for start, end in _runs(down) if end - start >= SHORTEST_STAND * fps]
-
-
-def two_bones(hip: Floats, knee: Floats, ankle: Floats, goal: Floats) -> tuple[Floats, Floats]:
-    """Knee and ankle (frames, 3) of a leg that reaches for `goal`, bending in the plane in which it is bent.
-
-    The law of cosines; a goal out of reach is approached as far as the leg goes.
-    """
-    upper, lower = np.linalg.norm(knee - hip, axis=-1), np.linalg.norm(ankle - knee, axis=-1)
-    way = goal - hip
-    nearest, furthest = np.abs(upper - lower) + 1e-3, (upper + lower) * STRETCHED
-    # a leg that was stretched further may stay so
-    furthest = np.maximum(furthest, np.minimum(np.linalg.norm(ankle - hip, axis=-1), upper + lower))
-    distance = np.clip(np.linalg.norm(way, axis=-1), nearest, furthest)
-    along = normalised(way)
-    bend = (knee - hip) - ((knee - hip) * along).sum(-1, keepdims=True) * along
-    reach = (upper**2 - lower**2 + distance**2) / (2 * distance)
-    height = np.sqrt(np.maximum(upper**2 - reach**2, 0.0))
-    new_knee = hip + reach[:, None] * along + height[:, None] * normalised(bend)
-    return new_knee, hip + distance[:, None] * along
-
-
-def _shifts(toe: Floats, fps: float) -> Floats:
-    """(frames, 3) over the floor: what holds a toe in its contacts, and leads it there and away beside them.
-
-    Beside a contact the correction s minimises sum |D^3 (toe + s)|^2 + (s / `PER_JERK`)^2, with D^3 the third
-    derivative: the path of least jerk (Flash & Hogan, 1985, Eq. 1), kept near to the one that was there.
-    """
-    runs = contacts(toe, fps)
-    shift, free = np.zeros_like(toe), np.zeros(len(toe), dtype=bool)
-    ramp = max(1, round(RAMP * fps))
-    for start, end in runs:
-        free[max(0, start - ramp) : end + ramp] = True
-        own = (np.median(toe[start:end], axis=0) - toe[start:end]) * _OVER_FLOOR
-        shift[start:end] = own * np.minimum(1.0, FURTHEST / np.maximum(np.linalg.norm(own, axis=-1), 1e-9))[:, None]
-    for start, end in runs:
-        free[start:end] = False
-    for start, end in _runs(free):
-        # three frames on each side see the same third derivatives
-        first, last = max(0, start - 3), min(len(toe), end + 3)
-        third = np.diff(np.eye(last - first), n=3, axis=0) * fps**3
-        unknown = third[:, start - first : end - first]
-        jerk = third @ (toe[first:last] * _OVER_FLOOR + shift[first:last])
-        shift[start:end] = -np.linalg.solve(unknown.T @ unknown + np.eye(end - start) / PER_JERK**2, unknown.T @ jerk)
-    return shift
-
-
-def _runs(down: NDArray[np.bool_]) -> list[tuple[int, int]]:
-    """First and last frame + 1 of every stretch of True."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], down, [False]]).astype(int)))
-    return list(zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True))
-
+Near a straight leg the knee moves far for a centimetre of the foot.
+"""
 
 ITERATIONS: Final = 5
-_FEET_YIELD: Final = 0.1
-"""How much a toe gives way where any other joint gives way by 1: feet that stand must not be pushed about."""
-_SHORTEST: Final = 1e-6
-
+"""Rounds of position-based dynamics before the exact pass."""
+_TOE_INVERSE_MASS: Final = 0.1
+"""How much a toe yields where other joints yield by 1: planted feet must not be pushed about."""
+_MIN_LENGTH: Final = 1e-6
 _PARENT: Final = np.array(PARENTS[1:])
 _CHILD: Final = np.arange(1, JOINTS)
 
 
-def _shares() -> FloatArray:
-    """(22, 21): the part of a bone's correction that each joint takes, averaged over the bones that meet in it."""
-    give = np.ones(JOINTS)
-    give[[JOINT_INDEX["left_foot"], JOINT_INDEX["right_foot"]]] = _FEET_YIELD
-    give[[JOINT_INDEX["left_ankle"], JOINT_INDEX["right_ankle"]]] = _FEET_YIELD**0.5
-    shares, bones = np.zeros((JOINTS, JOINTS - 1)), np.arange(JOINTS - 1)
-    total = give[_PARENT] + give[_CHILD]
-    shares[_PARENT, bones] = give[_PARENT] / total
-    shares[_CHILD, bones] = -give[_CHILD] / total
-    meeting = (shares != 0).sum(axis=1, keepdims=True)
-    averaged: FloatArray = (shares / np.maximum(1.0, 0.7 * meeting)).astype(np.float32)
-    return averaged
-
-
-_SHARES: Final = _shares()
-
-
 def enforce_bone_lengths(joints: FloatArray, lengths: FloatArray | None) -> FloatArray:
-    """The nearby motion whose bones have exactly these lengths.
+    """Project a motion onto the nearest one whose bones have exactly these lengths.
 
-    Position-based dynamics (Müller et al. 2007): a few rounds in which both ends of a wrong bone give way, feet least,
+    Position-based dynamics (Müller et al., 2007): a few rounds in which both ends of a wrong bone yield, feet least,
     then one pass from the pelvis outwards that leaves no error. The pass alone would add up all errors of a leg at
-    the toe, and feet that stand would slide.
+    the toe, and planted feet would slide.
 
     Args:
         joints: (frames, 22, 3) metres.
@@ -159,17 +62,144 @@ def enforce_bone_lengths(joints: FloatArray, lengths: FloatArray | None) -> Floa
             median over the frames.
 
     Returns:
-        (frames, 22, 3).
+        (frames, 22, 3) float32 metres.
     """
-    found = joints.astype(np.float32)
-    usual = np.median(bone_lengths(found), axis=0) if lengths is None else lengths
-    wanted = usual.astype(np.float32)[:, None]
+    solved = joints.astype(np.float32)
+    lengths = np.median(bone_lengths(solved), axis=0) if lengths is None else lengths
+    target = lengths.astype(np.float32)[:, None]
     for _ in range(ITERATIONS):
-        bones = found[:, _CHILD] - found[:, _PARENT]
-        length = np.maximum(np.linalg.norm(bones, axis=-1, keepdims=True), _SHORTEST)
-        found += _SHARES @ (bones * (1.0 - wanted / length))
-    bones = found[:, _CHILD] - found[:, _PARENT]
-    bones *= wanted / np.maximum(np.linalg.norm(bones, axis=-1, keepdims=True), _SHORTEST)
+        bones = solved[:, _CHILD] - solved[:, _PARENT]
+        length = np.maximum(np.linalg.norm(bones, axis=-1, keepdims=True), _MIN_LENGTH)
+        solved += _CORRECTION_SHARES @ (bones * (1.0 - target / length))
+    # exact pass: keep the directions, set the lengths, and add up from the pelvis
+    bones = solved[:, _CHILD] - solved[:, _PARENT]
+    bones *= target / np.maximum(np.linalg.norm(bones, axis=-1, keepdims=True), _MIN_LENGTH)
     for child, parent in zip(_CHILD, _PARENT, strict=True):
-        found[:, child] = found[:, parent] + bones[:, child - 1]
-    return found
+        solved[:, child] = solved[:, parent] + bones[:, child - 1]
+    return solved
+
+
+def _correction_shares() -> FloatArray:
+    """Compute the share (22, 21) of each bone's correction that each joint takes, averaged over its bones.
+
+    A bone's correction is split between its ends by their inverse masses w: +w_p / (w_p + w_c) for the parent,
+    -w_c / (w_p + w_c) for the child. The sum of a joint is divided by 0.7 times the number of its bones: an average
+    with over-relaxation (as in Macklin et al., 2014).
+    """
+    inverse_mass = np.ones(JOINTS)
+    inverse_mass[[JOINT_INDEX["left_foot"], JOINT_INDEX["right_foot"]]] = _TOE_INVERSE_MASS
+    inverse_mass[[JOINT_INDEX["left_ankle"], JOINT_INDEX["right_ankle"]]] = _TOE_INVERSE_MASS**0.5
+    shares, bones = np.zeros((JOINTS, JOINTS - 1)), np.arange(JOINTS - 1)
+    total = inverse_mass[_PARENT] + inverse_mass[_CHILD]
+    shares[_PARENT, bones] = inverse_mass[_PARENT] / total
+    shares[_CHILD, bones] = -inverse_mass[_CHILD] / total
+    bone_count = (shares != 0).sum(axis=1, keepdims=True)
+    averaged: FloatArray = (shares / np.maximum(1.0, 0.7 * bone_count)).astype(np.float32)
+    return averaged
+
+
+_CORRECTION_SHARES: Final = _correction_shares()
+
+
+def lock_feet(joints: FloatArray, fps: float) -> FloatArray:
+    """Correct a motion so that planted toes do not slide.
+
+    During a contact the toe is held at its median position; beside it the toe takes the path of least jerk. The whole
+    foot moves with its toe, the knee bends in its own plane, and all bones keep their length.
+
+    Args:
+        joints: (frames, 22, 3) metres, Y up.
+        fps: frames per second.
+
+    Returns:
+        (frames, 22, 3) float32 metres.
+    """
+    locked = joints.astype(np.float64)
+    for hip, knee, ankle, toe in LEGS:
+        correction = _toe_corrections(locked[:, toe], fps)
+        if not correction.any():
+            continue
+        goal = locked[:, ankle] + correction
+        new_knee, new_ankle = two_bone_ik(locked[:, hip], locked[:, knee], locked[:, ankle], goal)
+        locked[:, toe] += new_ankle - locked[:, ankle]
+        locked[:, knee], locked[:, ankle] = new_knee, new_ankle
+    return locked.astype(np.float32)
+
+
+def find_contacts(toe: Floats, fps: float) -> list[tuple[int, int]]:
+    """Find the spans of frames in which a toe is planted: slow, low and long enough.
+
+    Args:
+        toe: (frames, 3) metres, Y up.
+        fps: frames per second.
+
+    Returns:
+        Half-open spans (start, end) of frames.
+    """
+    if len(toe) < 3:
+        return []
+    speed = np.linalg.norm(np.gradient(toe[:, [0, 2]], axis=0), axis=-1) * fps
+    planted = (speed < CONTACT_SPEED) & (toe[:, 1] < np.quantile(toe[:, 1], 0.1) + CONTACT_HEIGHT)
+    return [(start, end) for start, end in _true_spans(planted) if end - start >= MIN_CONTACT_SECONDS * fps]
+
+
+def two_bone_ik(hip: Floats, knee: Floats, ankle: Floats, goal: Floats) -> tuple[Floats, Floats]:
+    """Solve two-bone inverse kinematics by the law of cosines, keeping the plane in which the leg bends.
+
+    A goal out of reach is approached as far as the leg extends (`MAX_EXTENSION`).
+
+    Args:
+        hip, knee, ankle: (frames, 3) metres, the leg as it is.
+        goal: (frames, 3) metres, where the ankle should be.
+
+    Returns:
+        New knee and ankle, (frames, 3) metres each.
+    """
+    upper, lower = np.linalg.norm(knee - hip, axis=-1), np.linalg.norm(ankle - knee, axis=-1)
+    to_goal = goal - hip
+    nearest, furthest = np.abs(upper - lower) + 1e-3, (upper + lower) * MAX_EXTENSION
+    # a leg that was straighter before may stay so
+    furthest = np.maximum(furthest, np.minimum(np.linalg.norm(ankle - hip, axis=-1), upper + lower))
+    distance = np.clip(np.linalg.norm(to_goal, axis=-1), nearest, furthest)
+    along = normalised(to_goal)
+    # direction of the bend: the part of hip -> knee that is perpendicular to hip -> goal
+    bend = (knee - hip) - ((knee - hip) * along).sum(-1, keepdims=True) * along
+    # foot and height of the triangle with sides upper, lower and distance
+    reach = (upper**2 - lower**2 + distance**2) / (2 * distance)
+    height = np.sqrt(np.maximum(upper**2 - reach**2, 0.0))
+    new_knee = hip + reach[:, None] * along + height[:, None] * normalised(bend)
+    return new_knee, hip + distance[:, None] * along
+
+
+def _toe_corrections(toe: Floats, fps: float) -> Floats:
+    """Compute the horizontal displacement (frames, 3) that locks a toe (frames, 3) in its contacts.
+
+    Beside a contact the correction s minimises sum |D^3 (toe + s)|^2 + (s / `METRES_PER_JERK`)^2, with D^3 the third
+    derivative: the path of least jerk (Flash & Hogan, 1985, Eq. 1), kept near the original one.
+    """
+    contacts = find_contacts(toe, fps)
+    correction, free = np.zeros_like(toe), np.zeros(len(toe), dtype=bool)
+    ramp = max(1, round(RAMP_SECONDS * fps))
+    for start, end in contacts:
+        free[max(0, start - ramp) : end + ramp] = True
+        to_median = (np.median(toe[start:end], axis=0) - toe[start:end]) * HORIZONTAL
+        distance = np.maximum(np.linalg.norm(to_median, axis=-1), 1e-9)
+        correction[start:end] = to_median * np.minimum(1.0, MAX_CORRECTION / distance)[:, None]
+    for start, end in contacts:
+        free[start:end] = False
+    for start, end in _true_spans(free):
+        # third derivatives couple each frame with three neighbours on either side
+        first, last = max(0, start - 3), min(len(toe), end + 3)
+        third = np.diff(np.eye(last - first), n=3, axis=0) * fps**3
+        unknown = third[:, start - first : end - first]
+        jerk = third @ (toe[first:last] * HORIZONTAL + correction[first:last])
+        # normal equations: (U^T U + 1 / METRES_PER_JERK^2) s = -U^T jerk
+        normal = unknown.T @ unknown + np.eye(end - start) / METRES_PER_JERK**2
+        correction[start:end] = -np.linalg.solve(normal, unknown.T @ jerk)
+    return correction
+
+
+def _true_spans(mask: NDArray[np.bool_]) -> list[tuple[int, int]]:
+    """Find the half-open spans (start, end) of consecutive True values."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], mask, [False]]).astype(int)))
+    return list(zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True))

@@ -1,6 +1,6 @@
-"""Unit quaternions (..., 4) in the order w, x, y, z; they turn vectors of a right-handed frame.
+"""Unit quaternions (..., 4) in the order w, x, y, z, which rotate vectors of a right-handed frame.
 
-Every function keeps the floating type of what it is given and broadcasts over the leading axes.
+Every function broadcasts over the leading axes and keeps the floating-point type of its arguments.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ IDENTITY: Final = (1.0, 0.0, 0.0, 0.0)
 
 
 def multiply(first: Floats, second: Floats) -> Floats:
-    """The turn that does `second`, then `first`."""
+    """Compute the Hamilton product: the rotation that applies `second`, then `first`."""
     a, b = first, second
     aw, ax, ay, az = a[..., 0], a[..., 1], a[..., 2], a[..., 3]
     bw, bx, by, bz = b[..., 0], b[..., 1], b[..., 2], b[..., 3]
@@ -30,77 +30,92 @@ def multiply(first: Floats, second: Floats) -> Floats:
     )
 
 
-def conjugate(turn: Floats) -> Floats:
-    """The turn back."""
-    return np.concatenate([turn[..., :1], -turn[..., 1:]], axis=-1)
+def conjugate(rotation: Floats) -> Floats:
+    """Invert unit quaternions."""
+    return np.concatenate([rotation[..., :1], -rotation[..., 1:]], axis=-1)
 
 
-def rotate(turn: Floats, vector: Floats) -> Floats:
-    """`vector` (..., 3) turned."""
-    turn, vector = _broadcast(turn, vector)
-    axis = turn[..., 1:]
-    # An explicit axis: numpy.cross guesses, and a clip of three frames goes wrong.
+def rotate(rotation: Floats, vector: Floats) -> Floats:
+    """Rotate vectors (..., 3): v + 2 (w (u x v) + u x (u x v)) for the quaternion (w, u)."""
+    rotation, vector = _broadcast(rotation, vector)
+    axis = rotation[..., 1:]
+    # numpy.cross guesses the axis without `axis`, and guesses wrong for a clip of three frames
     once = np.cross(axis, vector, axis=-1)
     twice = np.cross(axis, once, axis=-1)
-    return np.asarray(vector + 2.0 * (turn[..., :1] * once + twice))
+    return np.asarray(vector + 2.0 * (rotation[..., :1] * once + twice))
 
 
-def between(start: Floats, end: Floats) -> Floats:
-    """The shortest turn that takes the direction `start` (..., 3) to `end`; lengths do not matter.
+def shortest_rotation(start: Floats, end: Floats) -> Floats:
+    """Find the shortest rotation from the direction `start` (..., 3) to the direction `end` (..., 3).
 
-    Opposite directions have no shortest turn: one of the half turns is returned. A zero vector gives the
-    identity.
+    Lengths do not matter. Opposite directions have no unique shortest rotation: one of the half turns is returned.
+    A zero vector gives the identity.
     """
     start, end = np.broadcast_arrays(start, end)
+    # q ~ (|a| |b| + a . b, a x b)
     size = np.sqrt((start * start).sum(-1, keepdims=True) * (end * end).sum(-1, keepdims=True))
     scalar = size + (start * end).sum(-1, keepdims=True)
-    turn = np.concatenate([scalar, np.cross(start, end, axis=-1)], axis=-1)
+    rotation = np.concatenate([scalar, np.cross(start, end, axis=-1)], axis=-1)
     opposite = (scalar <= 1e-6 * size)[..., 0]
     if opposite.any():
-        turn[opposite] = np.concatenate([np.zeros_like(size), _perpendicular(start)], axis=-1)[opposite]
-    turn[size[..., 0] == 0] = IDENTITY
-    return normalised(turn)
+        rotation[opposite] = np.concatenate([np.zeros_like(size), _perpendicular(start)], axis=-1)[opposite]
+    rotation[size[..., 0] == 0] = IDENTITY
+    return normalised(rotation)
 
 
 def normalised(vector: Floats) -> Floats:
-    """`vector` (..., n) at length 1; a zero vector stays zero."""
+    """Scale vectors (..., n) to length 1; a zero vector stays zero."""
     length = np.sqrt((vector * vector).sum(-1, keepdims=True))
     return np.asarray(vector / np.where(length > 0, length, 1.0).astype(vector.dtype))
 
 
-def continuous(turns: Floats) -> Floats:
-    """The same turns (frames, ..., 4) with signs chosen so that each lies next to the one before it."""
-    dots = (turns[1:] * turns[:-1]).sum(-1)
-    flips = np.cumprod(np.where(dots < 0, -1.0, 1.0), axis=0).astype(turns.dtype)
-    return np.concatenate([turns[:1], turns[1:] * flips[..., None]])
+def continuous_signs(rotations: Floats) -> Floats:
+    """Choose signs so that consecutive quaternions (frames, ..., 4) lie on the same half-sphere.
+
+    q and -q are the same rotation, but programs that interpolate between keys need neighbours of one sign.
+    """
+    dots = (rotations[1:] * rotations[:-1]).sum(-1)
+    flips = np.cumprod(np.where(dots < 0, -1.0, 1.0), axis=0).astype(rotations.dtype)
+    return np.concatenate([rotations[:1], rotations[1:] * flips[..., None]])
 
 
 def slerp(first: Floats, second: Floats, share: Floats) -> Floats:
-    """The turn at `share` (...,) of the shorter way from `first` to `second` (Shoemake, 1985)."""
+    """Interpolate spherically along the shorter arc (Shoemake, 1985).
+
+    Args:
+        first, second: (..., 4) unit quaternions.
+        share: (...,) of `second`, 0 to 1.
+
+    Returns:
+        (..., 4).
+    """
     dot = (first * second).sum(-1, keepdims=True)
     second = np.where(dot < 0, -second, second)
     angle = np.arccos(np.clip(np.abs(dot), 0.0, 1.0))
+    # below 1e-4 radians sin(angle) is too small to divide by: interpolate linearly
     near = angle < 1e-4
     sine = np.where(near, 1.0, np.sin(angle))
     share = np.asarray(share)[..., None]
-    # Close turns are mixed linearly: their sines would be divided by almost nothing.
     left = np.where(near, 1.0 - share, np.sin((1.0 - share) * angle) / sine)
     right = np.where(near, share, np.sin(share * angle) / sine)
     return normalised((left * first + right * second).astype(first.dtype))
 
 
-def to_matrix(turn: Floats) -> Floats:
-    """Rotation matrices (..., 3, 3); columns are where the axes x, y, z go."""
-    axes = np.eye(3, dtype=turn.dtype)
-    return np.stack([rotate(turn, axes[index]) for index in range(3)], axis=-1)
+def to_matrix(rotation: Floats) -> Floats:
+    """Convert to rotation matrices (..., 3, 3); the columns are the rotated x, y and z axes."""
+    axes = np.eye(3, dtype=rotation.dtype)
+    return np.stack([rotate(rotation, axes[index]) for index in range(3)], axis=-1)
 
 
 def from_matrix(matrix: Floats) -> Floats:
-    """Quaternions of rotation matrices (..., 3, 3), with w >= 0."""
+    """Convert rotation matrices (..., 3, 3) to quaternions with w >= 0.
+
+    Builds 4 q q^T from the matrix and takes the row with the largest diagonal entry, the best conditioned one
+    (Shepperd, 1978).
+    """
     m = matrix
     diagonal = np.stack([m[..., 0, 0], m[..., 1, 1], m[..., 2, 2]], axis=-1)
     trace = diagonal.sum(-1, keepdims=True)
-    # 4 q q^T, of which the row with the largest diagonal entry is the best conditioned.
     outer = np.empty((*m.shape[:-2], 4, 4), dtype=m.dtype)
     outer[..., 0, 0] = 1 + trace[..., 0]
     for index in range(3):
@@ -114,21 +129,21 @@ def from_matrix(matrix: Floats) -> Floats:
 
 
 def about_axis(axis: int, angle: Floats) -> Floats:
-    """Turns by `angle` (...,) radians about x, y or z (0, 1, 2)."""
-    turn = np.zeros((*angle.shape, 4), dtype=angle.dtype)
-    turn[..., 0] = np.cos(angle / 2)
-    turn[..., 1 + axis] = np.sin(angle / 2)
-    return turn
+    """Build rotations by `angle` (...,) radians about a coordinate axis: 0, 1, 2 for x, y, z."""
+    rotation = np.zeros((*angle.shape, 4), dtype=angle.dtype)
+    rotation[..., 0] = np.cos(angle / 2)
+    rotation[..., 1 + axis] = np.sin(angle / 2)
+    return rotation
 
 
-def _broadcast(turn: Floats, vector: Floats) -> tuple[Floats, Floats]:
-    shape = np.broadcast_shapes(turn.shape[:-1], vector.shape[:-1])
-    return np.broadcast_to(turn, (*shape, 4)), np.broadcast_to(vector, (*shape, 3))
+def _broadcast(rotation: Floats, vector: Floats) -> tuple[Floats, Floats]:
+    shape = np.broadcast_shapes(rotation.shape[:-1], vector.shape[:-1])
+    return np.broadcast_to(rotation, (*shape, 4)), np.broadcast_to(vector, (*shape, 3))
 
 
 def _perpendicular(vector: Floats) -> Floats:
-    """Some direction at right angles to each vector."""
-    flat = np.zeros_like(vector)
+    """Pick a unit vector at right angles to each vector (..., 3)."""
+    axis = np.zeros_like(vector)
     smallest = np.argmin(np.abs(vector), axis=-1)
-    np.put_along_axis(flat, smallest[..., None], 1.0, axis=-1)
-    return normalised(np.cross(vector, flat, axis=-1))
+    np.put_along_axis(axis, smallest[..., None], 1.0, axis=-1)
+    return normalised(np.cross(vector, axis, axis=-1))

@@ -1,10 +1,10 @@
-"""The 22-joint body that every part of kinegraph speaks: HumanML3D's order, the first 22 SMPL joints.
+"""The 22-joint skeleton of kinegraph: HumanML3D's order, the first 22 joints of SMPL.
 
-Axes are right-handed, Y up, metres; a body faces +Z in its first frame and its left side is +X.
+Coordinate frame: right-handed, Y up, metres. In its first frame a body faces +Z, with its left side towards +X.
+`canonicalise` brings a clip into that frame: on the floor, pelvis above the origin.
 
-Where a clip stands: on the floor, starting at the origin, facing +Z.
-
-What animation programs call the joints of `skeleton`."""
+Sources: Loper et al. (2015), SMPL; Guo et al. (2022), HumanML3D.
+"""
 
 from __future__ import annotations
 
@@ -40,6 +40,7 @@ JOINT_NAMES: Final[tuple[str, ...]] = (
 )
 JOINTS: Final = len(JOINT_NAMES)
 PARENTS: Final[tuple[int, ...]] = (-1, 0, 0, 0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 9, 9, 12, 13, 14, 16, 17, 18, 19)
+"""Index of each joint's parent; -1 for the root."""
 JOINT_INDEX: Final[dict[str, int]] = {name: index for index, name in enumerate(JOINT_NAMES)}
 
 PELVIS: Final = 0
@@ -48,76 +49,91 @@ LEFT_SHOULDER, RIGHT_SHOULDER = JOINT_INDEX["left_shoulder"], JOINT_INDEX["right
 FEET: Final[tuple[int, ...]] = tuple(
     JOINT_INDEX[name] for name in ("left_ankle", "left_foot", "right_ankle", "right_foot")
 )
-"""Order of the four contact features (HumanML3D: left ankle and toe, then right)."""
+"""Joints of the four contact features, in HumanML3D's order: left ankle and toe, then right."""
 
 MIRROR: Final[tuple[int, ...]] = tuple(
     JOINT_INDEX[name.replace("left", "right") if name.startswith("left") else name.replace("right", "left")]
     for name in JOINT_NAMES
 )
-"""`joints[:, MIRROR] * (-1, 1, 1)` is the same motion seen in a mirror."""
+"""Index of each joint's counterpart: `joints[:, MIRROR] * (-1, 1, 1)` swaps left and right."""
 
-
-def facing_angle(joints: FloatArray) -> FloatArray:
-    """Heading of the body about +Y, radians, from +Z towards +X (positive is a turn to the left).
-
-    The facing direction is `cross(Y, across)` with `across = (right hip - left hip) +
-    (right shoulder - left shoulder)`, HumanML3D's convention with both pairs right minus left.
-
-    Args:
-        joints: (frames, 22, 3) metres.
-
-    Returns:
-        (frames,) unwrapped angles.
-    """
-    across = (joints[:, RIGHT_HIP] - joints[:, LEFT_HIP]) + (joints[:, RIGHT_SHOULDER] - joints[:, LEFT_SHOULDER])
-    # cross((0,1,0), a) = (a_z, 0, -a_x)
-    return np.unwrap(np.arctan2(across[:, 2], -across[:, 0])).astype(np.float32)
-
-
-def mirrored(joints: FloatArray) -> FloatArray:
-    """The motion with left and right exchanged. joints: (frames, 22, 3); returns the same shape."""
-    return joints[:, list(MIRROR)] * np.array([-1.0, 1.0, 1.0], dtype=np.float32)
-
-
-def bone_lengths(joints: FloatArray) -> FloatArray:
-    """Distance of every joint but the pelvis to its parent, in each frame: (frames, 21), metres."""
-    children = np.arange(1, JOINTS)
-    lengths: FloatArray = np.linalg.norm(joints[:, children] - joints[:, list(PARENTS[1:])], axis=-1)
-    return lengths
-
-
-def canonicalise(joints: FloatArray) -> FloatArray:
-    """The clip moved and turned as every clip of kinegraph starts.
-
-    The lowest joint of the whole clip is at y = 0; in the first frame the pelvis is at x = z = 0 and the body
-    faces +Z (`skeleton.facing_angle`).
-
-    Args:
-        joints: (frames, 22, 3) metres, Y up.
-
-    Returns:
-        (frames, 22, 3) float32.
-    """
-    joints = np.asarray(joints, dtype=np.float64)
-    origin = joints[0, PELVIS].copy()
-    origin[1] = joints[..., 1].min()
-    moved = joints - origin
-    heading = float(facing_angle(moved[:1])[0])
-    cos, sin = np.cos(heading), np.sin(heading)
-    x, y, z = moved[..., 0], moved[..., 1], moved[..., 2]
-    return np.stack([cos * x - sin * z, y, sin * x + cos * z], axis=-1).astype(np.float32)
-
+HORIZONTAL: Final = np.array([1.0, 0.0, 1.0])
+"""Mask that projects a point or vector (x, y, z) onto the floor plane."""
 
 _MIXAMO: Final = (
     "Hips", "LeftUpLeg", "RightUpLeg", "Spine", "LeftLeg", "RightLeg", "Spine1", "LeftFoot", "RightFoot", "Spine2",
     "LeftToeBase", "RightToeBase", "Neck", "LeftShoulder", "RightShoulder", "Head", "LeftArm", "RightArm",
     "LeftForeArm", "RightForeArm", "LeftHand", "RightHand",
 )  # fmt: skip
-
 DEFAULT_NAMES: Final = "smpl"
-
 CONVENTIONS: Final[dict[str, tuple[str, ...]]] = {
     "smpl": JOINT_NAMES,
     "mixamo": tuple(f"mixamorig:{name}" for name in _MIXAMO),
 }
-"""Convention -> names in the order of `skeleton.JOINT_NAMES`."""
+"""Naming convention -> joint names, in the order of `JOINT_NAMES`; for files of animation programs."""
+
+
+def facing_angle(joints: FloatArray) -> FloatArray:
+    """Compute the heading of the body about +Y, from +Z towards +X (positive is a turn to the left).
+
+    The facing direction is `cross(Y, across)` with `across = (right hip - left hip) +
+    (right shoulder - left shoulder)`: HumanML3D's convention, with both pairs taken right minus left.
+
+    Args:
+        joints: (frames, 22, 3) metres, Y up.
+
+    Returns:
+        (frames,) radians, unwrapped.
+    """
+    across = (joints[:, RIGHT_HIP] - joints[:, LEFT_HIP]) + (joints[:, RIGHT_SHOULDER] - joints[:, LEFT_SHOULDER])
+    # cross((0, 1, 0), a) = (a_z, 0, -a_x)
+    return np.unwrap(np.arctan2(across[:, 2], -across[:, 0])).astype(np.float32)
+
+
+def canonicalise(joints: FloatArray) -> FloatArray:
+    """Move and turn a clip to the canonical start: on the floor, at the origin, facing +Z.
+
+    Afterwards the lowest joint of the whole clip is at y = 0. In the first frame the pelvis is at x = z = 0 and
+    the body faces +Z (`facing_angle`).
+
+    Args:
+        joints: (frames, 22, 3) metres, Y up.
+
+    Returns:
+        (frames, 22, 3) float32 metres.
+    """
+    joints = np.asarray(joints, dtype=np.float64)
+    origin = joints[0, PELVIS].copy()
+    origin[1] = joints[..., 1].min()
+    moved = joints - origin
+    # rotation by -heading about Y
+    heading = float(facing_angle(moved[:1])[0])
+    cos, sin = np.cos(heading), np.sin(heading)
+    x, y, z = moved[..., 0], moved[..., 1], moved[..., 2]
+    return np.stack([cos * x - sin * z, y, sin * x + cos * z], axis=-1).astype(np.float32)
+
+
+def mirrored(joints: FloatArray) -> FloatArray:
+    """Swap left and right of a motion.
+
+    Args:
+        joints: (frames, 22, 3) metres.
+
+    Returns:
+        (frames, 22, 3), reflected in the plane x = 0.
+    """
+    return joints[:, list(MIRROR)] * np.array([-1.0, 1.0, 1.0], dtype=np.float32)
+
+
+def bone_lengths(joints: FloatArray) -> FloatArray:
+    """Measure the distance from every joint but the pelvis to its parent.
+
+    Args:
+        joints: (frames, 22, 3) metres.
+
+    Returns:
+        (frames, 21) metres; bone k belongs to joint k + 1.
+    """
+    children = np.arange(1, JOINTS)
+    lengths: FloatArray = np.linalg.norm(joints[:, children] - joints[:, list(PARENTS[1:])], axis=-1)
+    return lengths

@@ -10,7 +10,7 @@ from typing import Any, Final
 
 from kinegraph.clip import Clip
 from kinegraph.diffusion.sampling import OnStep, StepInfo
-from kinegraph.formats.html import record
+from kinegraph.formats.html import clip_record
 from kinegraph.graph import SemanticGraph
 from kinegraph.pipeline import MotionPipeline, OnLevel
 from kinegraph.playground.schemas import ClipRequest
@@ -67,7 +67,7 @@ class GenerationJob:
             wish = replace(wish, text=graph)
         clip = generate_clip(self.pipeline, wish, self._step, self._level)
         self._lap("decoder, feet")
-        shown = record(clip)
+        shown = clip_record(clip)
         self._lap("body")
         self.tell({"event": "clip", "clip": shown, "stages": {name: round(ms, 1) for name, ms in self.stages.items()}})
 
@@ -83,7 +83,7 @@ class GenerationJob:
         return not self.stop.is_set()
 
     def _level(self, level: str, clip: Clip) -> None:
-        self.tell({"event": "level", "level": level, "clip": {**record(clip), "level": level}})
+        self.tell({"event": "level", "level": level, "clip": {**clip_record(clip), "level": level}})
         self._lap("previews")
 
     def _lap(self, stage: str) -> None:
