@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from kinegraph.bundle.reader import DEFAULT_BUNDLE
+from kinegraph import MotionPipeline
 from kinegraph_benchmarks.quality import edit_curves
 from support.motions import walk
 
@@ -50,12 +50,8 @@ def test_quantities_measure_what_they_name() -> None:
     assert edit_curves.turned(1)(walk(60, turning=0.01)) == -edit_curves.turned(-1)(walk(60, turning=0.01))
 
 
-@pytest.mark.skipif(not (DEFAULT_BUNDLE / "manifest.json").is_file(), reason="no default bundle")
-def test_every_edge_is_found_by_the_parser() -> None:
-    pytest.importorskip("spacy")
-    from kinegraph import MotionPipeline
+def test_every_edge_is_found_by_the_parser(pipe: MotionPipeline) -> None:
     from kinegraph.edits import number_of
 
-    pipe = MotionPipeline.load(threads=1)
     for curve in edit_curves.CURVES:
         assert number_of(pipe.parse(curve.caption), curve.node) >= 1

@@ -7,21 +7,14 @@ from typing import Any
 import pytest
 
 from kinegraph import InvalidInputError, MotionPipeline
-from kinegraph.bundle.reader import DEFAULT_BUNDLE
 from kinegraph.edits import with_weight
 from kinegraph.limits import MAX_TAKES
 from support.same_motion import assert_same_motion
 
-pytestmark = pytest.mark.skipif(not (DEFAULT_BUNDLE / "manifest.json").is_file(), reason="no default bundle")
 pytest.importorskip("spacy")
 
 FEW: dict[str, Any] = {"steps": (5, 5, 6)}
 TEXTS = ["a person walks forward", "someone raises the left hand, then bows", "runs"]
-
-
-@pytest.fixture(scope="module")
-def pipe() -> MotionPipeline:
-    return MotionPipeline.load(threads=1)
 
 
 def test_a_clip_is_that_of_its_sentence_its_length_and_its_seed(pipe: MotionPipeline) -> None:

@@ -10,7 +10,6 @@ from pathlib import Path
 import pytest
 
 import kinegraph
-from kinegraph.bundle.reader import DEFAULT_BUNDLE
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
 ONE_SCREEN = 36
@@ -34,7 +33,6 @@ def test_every_example_is_run_here_and_fits_a_screen() -> None:
     assert len(found["embed"].splitlines()) == 10
 
 
-@pytest.mark.skipif(not (DEFAULT_BUNDLE / "manifest.json").is_file(), reason="no default bundle")
 @pytest.mark.parametrize("name", sorted(RUNS))
 def test_an_example_runs(tmp_path: Path, name: str) -> None:
     pytest.importorskip("spacy")

@@ -10,22 +10,15 @@ import numpy as np
 import pytest
 
 from kinegraph import InvalidInputError, MotionPipeline, cli
-from kinegraph.bundle.reader import DEFAULT_BUNDLE
 from kinegraph.edits import with_weight
 from kinegraph.limits import MAX_TAKES
 from support.cli_runs import fails
 from support.same_motion import assert_same_motion
 
-pytestmark = pytest.mark.skipif(not (DEFAULT_BUNDLE / "manifest.json").is_file(), reason="no default bundle")
 pytest.importorskip("spacy")
 
 FEW: dict[str, Any] = {"steps": (2, 2, 3), "seconds": 1.5}
 WALK = "a person walks forward"
-
-
-@pytest.fixture(scope="module")
-def pipe() -> MotionPipeline:
-    return MotionPipeline.load(threads=1)
 
 
 def test_a_take_is_the_clip_of_its_seed(pipe: MotionPipeline) -> None:

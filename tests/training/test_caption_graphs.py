@@ -15,8 +15,6 @@ from kinegraph.bundle.reader import DEFAULT_BUNDLE
 from kinegraph_training.data import caption_cache
 from kinegraph_training.data.caption_cache import CaptionEncoder, encode_captions
 
-pytestmark = pytest.mark.skipif(not (DEFAULT_BUNDLE / "parser.bin").is_file(), reason="no default bundle")
-
 CAPTIONS = ["a person walks and turns left", "someone bows", "a person runs and turns left"]
 
 

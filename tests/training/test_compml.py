@@ -19,7 +19,6 @@ from support.motions import posed, turn, walk
 pytest.importorskip("torch")
 pytest.importorskip("spacy")
 
-from kinegraph.bundle.reader import DEFAULT_BUNDLE
 from kinegraph_training import compml
 from kinegraph_training.config import DataConfig
 from kinegraph_training.data.clips import MotionClip, mirrored_label, read_split
@@ -29,7 +28,6 @@ from kinegraph_training.metrics import hand_speed, jerk
 from kinegraph_training.synthetic.caption_grammar import LOCOMOTION
 from kinegraph_training.synthetic.compositions import HeldOut
 
-needs_default = pytest.mark.skipif(not (DEFAULT_BUNDLE / "manifest.json").is_file(), reason="no default bundle")
 HELD = {"together": [["walk", "wave-left-hand"], ["walk-turn-left", "raise-up-left-hand"]], "in_order": []}
 
 
@@ -194,7 +192,6 @@ def test_a_clip_that_is_never_clean_is_left_out_and_counted(data: Path, tmp_path
     assert read_split(out, "train") == []
 
 
-@needs_default
 def test_a_killed_run_goes_on_to_the_same_folder(rough_data: Path, tmp_path: Path) -> None:
     count = 4
     command = [sys.executable, "-m", "kinegraph_training.compml"]
@@ -221,7 +218,6 @@ def test_a_killed_run_goes_on_to_the_same_folder(rough_data: Path, tmp_path: Pat
     assert "CC BY-NC" in origin["licence"]["weights"] and origin["bundle"]
 
 
-@needs_default
 def test_wrong_wishes_are_refused_before_anything_is_made(
     data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -22,10 +22,6 @@ from kinegraph_training.data.folder import PreparedClip, write_data
 from kinegraph_training.models.evaluator import EvaluatorConfig, MotionEncoder, contrastive_loss
 from support.motions import walk
 
-needs_default = pytest.mark.skipif(
-    not (DEFAULT_BUNDLE / "parser.bin").is_file(), reason="no default bundle to take the text files from"
-)
-
 
 def test_the_loss_is_two_cross_entropies_without_false_negatives() -> None:
     generator = torch.Generator().manual_seed(0)
@@ -65,7 +61,6 @@ def data(folder: Path) -> None:
     write_data(folder, clips, 20)
 
 
-@needs_default
 def test_trained_saved_and_used_without_torch(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     data(tmp_path / "data")
     quick = OptimiserConfig(steps=4, learning_rate=1e-3, warmup=1, batch=8, ema=0.9)

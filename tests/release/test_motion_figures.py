@@ -1,10 +1,14 @@
-"""The promised figures of motion, measured on recorded clips and on clips of the default bundle; see the summary."""
+"""The promised figures of motion, measured on recorded clips and on clips of the default bundle.
+
+They are printed after the tests.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 
 import numpy as np
+import pytest
 
 from kinegraph import MotionPipeline
 from kinegraph.motion.blending import best_blend, peak_accelerations
@@ -20,6 +24,7 @@ JOIN = 2.0
 """Acceleration at a join, in 95th percentiles of the clips that are joined."""
 FPS = 20.0
 
+pytestmark = pytest.mark.release
 
 SENTENCES = (
     "a person walks forward", "a person runs", "a person walks and turns to the left", "a person bows",
@@ -41,18 +46,19 @@ PAIRS = (
 
 
 def check_rotations(clips: list[np.ndarray], name: str, figure: Callable[[str], None]) -> None:
+    """Solve the rotations of every clip and hold the joints they give against the clip's own."""
     errors = []
     for joints in clips:
         motion = rotations_from_positions(joints, FPS)
-        places = forward_kinematics(motion.rest_offsets, motion.root, motion.rotations)
-        errors.append(np.linalg.norm(places - joints, axis=-1).ravel() * 1000)
+        solved = forward_kinematics(motion.rest_offsets, motion.root, motion.rotations)
+        errors.append(np.linalg.norm(solved - joints, axis=-1).ravel() * 1000)
     twist = max(map(largest_twist, clips))
-    found = np.concatenate(errors)
+    off = np.concatenate(errors)
     figure(
-        f"rotations of {len(clips)} {name} clips: joints off by {found.mean():.2f} mm mean (limit {MEAN_MM:g}), "
-        f"{found.max():.1f} mm max (limit {MAX_MM:g}); largest twist {twist:.0f} degrees per frame (limit {NO_FLIP:g})"
+        f"rotations of {len(clips)} {name} clips: joints off by {off.mean():.2f} mm mean (limit {MEAN_MM:g}), "
+        f"{off.max():.1f} mm max (limit {MAX_MM:g}); largest twist {twist:.0f} degrees per frame (limit {NO_FLIP:g})"
     )
-    assert found.mean() < MEAN_MM and found.max() < MAX_MM and twist < NO_FLIP
+    assert off.mean() < MEAN_MM and off.max() < MAX_MM and twist < NO_FLIP
 
 
 def test_rotations_of_200_recorded_clips(figure: Callable[[str], None]) -> None:
@@ -61,12 +67,14 @@ def test_rotations_of_200_recorded_clips(figure: Callable[[str], None]) -> None:
     check_rotations(clips, "recorded", figure)
 
 
+@pytest.mark.slow
 def test_rotations_of_200_generated_clips(pipe: MotionPipeline, figure: Callable[[str], None]) -> None:
-    clips = [clip.joints for place, text in enumerate(SENTENCES) for clip in pipe.takes(text, 10, seed=100 * place)]
+    clips = [clip.joints for index, text in enumerate(SENTENCES) for clip in pipe.takes(text, 10, seed=100 * index)]
     assert len(clips) == 200
     check_rotations(clips, "generated", figure)
 
 
+@pytest.mark.slow
 def test_joins_of_generated_sequences(pipe: MotionPipeline, figure: Callable[[str], None]) -> None:
     ratios, twists, bones = [], [], []
     for texts in PAIRS:
@@ -76,8 +84,8 @@ def test_joins_of_generated_sequences(pipe: MotionPipeline, figure: Callable[[st
             blend = best_blend(first, second, FPS)
             # in it, and while feet come to be held beside it, a fifth of a second
             begin, end = max(0, blend.start - 6), blend.start + blend.frames + 4
-            own = np.quantile(np.concatenate([peak_accelerations(first, FPS), peak_accelerations(second, FPS)]), 0.95)
-            ratios.append(peak_accelerations(joined, FPS)[begin:end].max() / own)
+            usual = np.quantile(np.concatenate([peak_accelerations(first, FPS), peak_accelerations(second, FPS)]), 0.95)
+            ratios.append(peak_accelerations(joined, FPS)[begin:end].max() / usual)
             twists.append(largest_twist(joined))
             bones.append(np.ptp(bone_lengths(joined), axis=0).max() * 1000)
     figure(
