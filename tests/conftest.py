@@ -10,7 +10,7 @@ from typing import Final
 import pytest
 
 from kinegraph import MotionPipeline
-from support.playing import TEXT, Playing, playing
+from support.playground import TEXT, PlaygroundClient, running_playground
 
 _FIGURE: Final = "figure"
 
@@ -29,10 +29,10 @@ def pipe() -> MotionPipeline:
 
 
 @pytest.fixture(scope="module")
-def server(pipe: MotionPipeline) -> Iterator[Playing]:
+def server(pipe: MotionPipeline) -> Iterator[PlaygroundClient]:
     """Its playground."""
     pytest.importorskip("uvicorn")
-    with playing(pipe) as found:
+    with running_playground(pipe) as found:
         yield found
 
 

@@ -2,7 +2,7 @@
 # The pictures of the README, by the default bundle. Needs `pip install ".[text,plot,play,browser]"` and a chromium.
 set -eu
 cd "$(dirname "$0")"
-kinegraph() { "${PYTHON:-../../.venv/bin/python}" -m kinegraph.cli "$@" --force; }
+kinegraph() { "${PYTHON:-../../.venv/bin/python}" -m kinegraph "$@" --force; }
 
 kinegraph generate "an old person walks and turns left" --seconds 4 --seed 3 -o turn.png
 kinegraph generate "a person walks forward while waving the right hand" --seconds 4 --seed 9 -o together.gif

@@ -231,3 +231,23 @@ def validate_lengths(texts: object, seconds: object, most: int, what: str) -> li
     if len(seconds) != len(texts):
         raise InvalidInputError(f"seconds has {len(seconds)} lengths for {len(texts)} sentences")
     return list(seconds)
+
+
+def parse_numbers(text: str, kind: type[N]) -> N | tuple[N, ...]:
+    """Parse an option written as text: "15" or, for several numbers, "15,15,20".
+
+    Args:
+        text: of a command line or a form.
+        kind: int or float.
+
+    Returns:
+        One number, or all of them in order; their count and range are checked where the option is used.
+
+    Raises:
+        InvalidInputError: a part of it is not a number of that kind.
+    """
+    try:
+        numbers = tuple(kind(part) for part in text.split(","))
+    except ValueError:
+        raise InvalidInputError(f"{text[:40]!r} is not a number, nor several like 15,15,20") from None
+    return numbers[0] if len(numbers) == 1 else numbers

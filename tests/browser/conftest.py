@@ -1,4 +1,4 @@
-"""A real browser without a window, drawing in software: Debian's chromium, driven by playwright."""
+"""Fixtures of a headless browser with software rendering: Debian's chromium, driven by playwright."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from support.browsing import Open
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, Page
 
-# Sandboxes need rights that a container's root has not; WebGL without a graphics card needs both of the others.
+# The sandbox needs rights that root in a container lacks; WebGL without a graphics card needs the other two flags.
 FLAGS = ["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
 
 
@@ -24,35 +24,36 @@ def browser() -> Iterator[Browser]:
     if program is None:
         pytest.skip("needs a browser: apt-get install chromium")
     with playwright.sync_playwright() as driver:
-        found = driver.chromium.launch(executable_path=program, args=FLAGS)
-        yield found
-        found.close()
+        chromium = driver.chromium.launch(executable_path=program, args=FLAGS)
+        yield chromium
+        chromium.close()
 
 
 @pytest.fixture
 def open_page(browser: Browser) -> Iterator[Open]:
-    """Opens a page and waits until it is ready; at the end, no page may have complained or asked for anything else."""
+    """Open pages and wait until they are ready; no page may log an error or send a request elsewhere."""
     contexts = []
     complaints: list[str] = []
 
     def open_at(url: str, width: int = 640, height: int = 480, *, refused: bool = False, **options: Any) -> Page:
-        # Nothing plays by itself, so that pictures of the same time are the same.
+        # Nothing plays by itself, so that pictures of the same time are equal.
         options = {"reduced_motion": "reduce", **options}
         context = browser.new_context(viewport={"width": width, "height": height}, **options)
         contexts.append(context)
         page = context.new_page()
-        own = url.split("#")[0]
+        address = url.split("#")[0]
         page.on("console", lambda message: heard(message.text, refused))
         page.on("pageerror", lambda error: complaints.append(f"error: {error}"))
         page.on(
-            "request", lambda request: request.url.startswith((own, "data:", "blob:")) or complaints.append(request.url)
+            "request",
+            lambda request: request.url.startswith((address, "data:", "blob:")) or complaints.append(request.url),
         )
         page.goto(url)
         page.wait_for_selector("html[data-ready]", state="attached", timeout=60_000)
         return page
 
     def heard(text: str, refused: bool) -> None:
-        # what a browser says of every refused request, where one is to be refused
+        # the browser logs every refused request; here one is expected
         if not (refused and "status of 400" in text):
             complaints.append(text)
 

@@ -1,4 +1,4 @@
-"""The playground for everybody: labels, contrast, width, and the order of the keyboard."""
+"""Accessibility of the playground: labels, contrast, width, and keyboard order."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 from support.browsing import Open, generate, made, wait_until
-from support.playing import Playing
+from support.playground import PlaygroundClient
 
 if TYPE_CHECKING:
     from playwright.sync_api import Page
@@ -17,13 +17,13 @@ LABELS = """() => [...document.querySelectorAll("button, input, select, textarea
   .filter((one) => !(one.ariaLabel || one.innerText?.trim() || one.labels?.length))
   .map((one) => one.outerHTML)"""
 
-# what ends to the right of the column that it stands in
+# elements that end to the right of their column
 BEYOND = """() => [...document.querySelectorAll(".wish *")]
   .filter((one) => one.checkVisibility() && !one.closest(".out, .modes"))
   .filter((one) => one.getBoundingClientRect().right > one.closest(".wish").getBoundingClientRect().right + 0.5)
   .map((one) => one.outerHTML)"""
 
-# WCAG 2.2, relative luminance and contrast ratio, of every element that shows text of its own
+# WCAG 2.2: contrast ratio, from relative luminance, of every element with text of its own
 CONTRASTS = """() => {
   const channels = (text) => (text.match(/[\\d.]+/g) ?? []).map(Number);
   const lightness = ([r, g, b]) => {
@@ -50,7 +50,9 @@ CONTRASTS = """() => {
 
 @pytest.mark.parametrize("scheme", ["light", "dark"])
 @pytest.mark.parametrize(("width", "height"), [(1280, 800), (390, 844), (320, 700)])
-def test_labels_contrast_and_width(open_page: Open, server: Playing, scheme: str, width: int, height: int) -> None:
+def test_labels_contrast_and_width(
+    open_page: Open, server: PlaygroundClient, scheme: str, width: int, height: int
+) -> None:
     page = open_page(server.url, width, height, color_scheme=scheme)
     generate(page, seconds="1", seed="1", steps="2")
     look_at_labels_and_contrasts(page, width)
@@ -65,12 +67,12 @@ def look_at_labels_and_contrasts(page: Page, width: int) -> None:
     assert page.evaluate(LABELS) == []
     contrasts = page.evaluate(CONTRASTS)
     assert len(contrasts) > 20
-    assert [each for each in contrasts if each[2] < 4.5] == []
+    assert [contrast for contrast in contrasts if contrast[2] < 4.5] == []
     assert page.evaluate("document.documentElement.scrollWidth") <= width
     assert page.evaluate(BEYOND) == []
 
 
-def test_focus_goes_from_the_sentence_to_the_button_and_on(open_page: Open, server: Playing) -> None:
+def test_focus_goes_from_the_sentence_to_the_button_and_on(open_page: Open, server: PlaygroundClient) -> None:
     page = open_page(server.url, 1280, 800)
     seen = []
     for _ in range(4):

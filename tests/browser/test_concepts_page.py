@@ -1,4 +1,4 @@
-"""Concepts in the playground: weights, the method and how they are mixed, as the command line's compose."""
+"""Concepts in the playground: weights, method and shares give the clip of `kinegraph compose`."""
 
 from __future__ import annotations
 
@@ -8,10 +8,10 @@ import pytest
 
 from kinegraph import cli
 from support.browsing import Open, download, made, settings, wait_until
-from support.playing import Playing
+from support.playground import PlaygroundClient
 
 
-def test_concepts_are_composed(open_page: Open, server: Playing, tmp_path: Path) -> None:
+def test_concepts_are_composed(open_page: Open, server: PlaygroundClient, tmp_path: Path) -> None:
     page = open_page(server.url)
     page.get_by_label("Concepts").check()
     page.get_by_role("button", name="Add a concept").click()
@@ -29,11 +29,11 @@ def test_concepts_are_composed(open_page: Open, server: Playing, tmp_path: Path)
 
 
 def test_how_concepts_are_mixed_goes_to_the_clip_the_link_and_the_file(
-    open_page: Open, server: Playing, tmp_path: Path
+    open_page: Open, server: PlaygroundClient, tmp_path: Path
 ) -> None:
     page = open_page(server.url)
     page.get_by_label("Concepts").check()
-    assert not page.get_by_label("Share of latent").is_visible()  # the screen stays calm
+    assert not page.get_by_label("Share of latent").is_visible()  # hidden until asked for
     page.get_by_text("How they are mixed").click()
     page.get_by_label("Joint sentence", exact=True).fill("a person walks while waving")
     page.get_by_label("Share of semantic").fill("0.7")
@@ -60,7 +60,7 @@ def test_how_concepts_are_mixed_goes_to_the_clip_the_link_and_the_file(
 
 
 @pytest.mark.parametrize("name", ["latent", "semantic", "joint sentence"])
-def test_shares_always_sum_to_one(open_page: Open, server: Playing, name: str) -> None:
+def test_shares_always_sum_to_one(open_page: Open, server: PlaygroundClient, name: str) -> None:
     page = open_page(server.url)
     page.get_by_label("Concepts").check()
     page.get_by_text("How they are mixed").click()
@@ -74,7 +74,7 @@ def test_shares_always_sum_to_one(open_page: Open, server: Playing, name: str) -
     assert seen == set(range(0, 101, 5))
 
 
-def test_what_does_not_mix_is_hidden_or_said(open_page: Open, server: Playing) -> None:
+def test_what_does_not_mix_is_hidden_or_said(open_page: Open, server: PlaygroundClient) -> None:
     page = open_page(server.url)
     page.get_by_label("Concepts").check()
     page.get_by_text("How they are mixed").click()

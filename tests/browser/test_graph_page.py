@@ -1,4 +1,4 @@
-"""The graph in the playground: sliders that change the motion, words that are hidden, deleted, added and replaced."""
+"""The graph editor of the playground: sliders change the motion; words are hidden, deleted, added and replaced."""
 
 from __future__ import annotations
 
@@ -6,10 +6,12 @@ from pathlib import Path
 
 from kinegraph import cli
 from support.browsing import Open, changed, download, generate, made, shown, wait_until
-from support.playing import Playing
+from support.playground import PlaygroundClient
 
 
-def test_a_slider_changes_the_motion_and_keeps_the_seed(open_page: Open, server: Playing, tmp_path: Path) -> None:
+def test_a_slider_changes_the_motion_and_keeps_the_seed(
+    open_page: Open, server: PlaygroundClient, tmp_path: Path
+) -> None:
     page = open_page(server.url)
     generate(page, "a person walks and turns to the left", seconds="3", steps="6")  # the seed is drawn
     before, facts = shown(page, 2.5), page.locator(".facts").inner_text()
@@ -26,7 +28,7 @@ def test_a_slider_changes_the_motion_and_keeps_the_seed(open_page: Open, server:
     assert changed(before, shown(page, 2.5)) == 0
 
 
-def test_the_graph_is_edited(open_page: Open, server: Playing) -> None:
+def test_the_graph_is_edited(open_page: Open, server: PlaygroundClient) -> None:
     page = open_page(server.url)
     generate(page, "a person walks slowly", seconds="1", seed="1", steps="2")
     page.get_by_label("Delete slowly").click()
@@ -46,7 +48,9 @@ def test_the_graph_is_edited(open_page: Open, server: Playing) -> None:
     assert page.get_by_label("Delete waves").count() == 1
 
 
-def test_words_of_a_node_are_replaced_by_the_keyboard_alone(open_page: Open, server: Playing, tmp_path: Path) -> None:
+def test_words_of_a_node_are_replaced_by_the_keyboard_alone(
+    open_page: Open, server: PlaygroundClient, tmp_path: Path
+) -> None:
     page = open_page(server.url)
     generate(page, "a person walks slowly", seconds="1.5", seed="1", steps="3")
     page.get_by_label("Other words for slowly").focus()
@@ -65,10 +69,10 @@ def test_words_of_a_node_are_replaced_by_the_keyboard_alone(open_page: Open, ser
     assert download(page, ".npz") == (tmp_path / "x.npz").read_bytes()
 
 
-def test_the_keyboard_stays_at_what_was_edited(open_page: Open, server: Playing) -> None:
+def test_the_keyboard_stays_at_what_was_edited(open_page: Open, server: PlaygroundClient) -> None:
     page = open_page(server.url)
     generate(page, "a person walks slowly to the left", seconds="1", seed="1", steps="2")
-    for name, place in (
+    for name, focused in (
         ("Hide the words slowly", "Other words for [MASK]"),
         ("Delete [MASK]", "Other words for to the left"),
     ):
@@ -76,7 +80,7 @@ def test_the_keyboard_stays_at_what_was_edited(open_page: Open, server: Playing)
         page.get_by_label(name, exact=True).focus()
         page.keyboard.press("Enter")
         wait_until(page, lambda count=count: made(page) > count)  # type: ignore[misc]
-        assert page.evaluate("document.activeElement.ariaLabel") == place
+        assert page.evaluate("document.activeElement.ariaLabel") == focused
     page.get_by_text("Add a detail").click()
     page.get_by_label("Words", exact=True).first.fill("fast")
     page.keyboard.press("Enter")

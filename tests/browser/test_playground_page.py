@@ -1,4 +1,4 @@
-"""The playground in a browser: sentence in, clip on the screen, coarse first; the command line's files; cancelling."""
+"""The playground in a browser: a sentence becomes a clip, coarse levels first; files; cancelling; links."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from kinegraph import cli
 from kinegraph.clip import Clip
 from kinegraph.playground.jobs import GenerationJob
 from support.browsing import TEXT, Open, changed, download, generate, made, settings, shown, time_of, wait_until
-from support.playing import Playing
+from support.playground import PlaygroundClient
 
 if TYPE_CHECKING:
     from playwright.sync_api import Page
@@ -22,12 +22,12 @@ if TYPE_CHECKING:
 LONG_STEPS = "900"
 
 
-def test_a_sentence_becomes_a_clip_with_its_graph_and_its_latencies(open_page: Open, server: Playing) -> None:
+def test_a_sentence_becomes_a_clip_with_its_graph_and_its_latencies(open_page: Open, server: PlaygroundClient) -> None:
     page = open_page(server.url)
     empty = page.locator("canvas").screenshot()
     start = time.monotonic()
     generate(page, seconds="3", seed="7")
-    assert time.monotonic() - start < 10  # a guard: what is promised is measured by benchmarks
+    assert time.monotonic() - start < 10  # a safeguard only; benchmarks measure the promised time
     assert changed(empty, page.locator("canvas").screenshot()) > 0.01
     assert changed(shown(page, 0.5), shown(page, 2.0)) > 0.01
     assert page.locator(".graph .words").all_text_contents()[0] == "walks"
@@ -37,7 +37,7 @@ def test_a_sentence_becomes_a_clip_with_its_graph_and_its_latencies(open_page: O
     assert stages[0] == "parser" and stages[-1] == "clip seen after" and len(stages) in (8, 9)
 
 
-def test_files_are_those_of_the_command_line(open_page: Open, server: Playing, tmp_path: Path) -> None:
+def test_files_are_those_of_the_command_line(open_page: Open, server: PlaygroundClient, tmp_path: Path) -> None:
     page = open_page(server.url)
     generate(page, seconds="2", seed="11", steps="4,4,5", guidance="2.0")
     flags = ["--seconds", "2", "--seed", "11", "--steps", "4,4,5", "--guidance", "2.0", "--threads", "1", "--quiet"]
@@ -51,19 +51,19 @@ def test_files_are_those_of_the_command_line(open_page: Open, server: Playing, t
 
 @pytest.fixture
 def go_on(monkeypatch: pytest.MonkeyPatch) -> threading.Semaphore:
-    """Whoever makes a clip waits after each sketch until this is released: how fast the browser draws is no matter."""
-    told, semaphore = GenerationJob._level, threading.Semaphore(0)
+    """Make generation wait after each sketch until this is released, however slowly the browser draws."""
+    on_level, semaphore = GenerationJob._on_level, threading.Semaphore(0)
 
     def wait(self: GenerationJob, level: str, clip: Clip) -> None:
-        told(self, level, clip)
+        on_level(self, level, clip)
         assert semaphore.acquire(timeout=60)
 
-    monkeypatch.setattr(GenerationJob, "_level", wait)
+    monkeypatch.setattr(GenerationJob, "_on_level", wait)
     return semaphore
 
 
 def test_coarse_motion_is_seen_first_from_the_same_place(
-    open_page: Open, server: Playing, go_on: threading.Semaphore
+    open_page: Open, server: PlaygroundClient, go_on: threading.Semaphore
 ) -> None:
     page = open_page(server.url)
     empty = page.locator("canvas").screenshot()
@@ -79,14 +79,16 @@ def test_coarse_motion_is_seen_first_from_the_same_place(
         go_on.release()
     wait_until(page, lambda: made(page) == 1, 60)
     assert page.locator(".panes").inner_text() == "" and time_of(page) == 1.5
-    # another body each time, in the middle of a room that stays
+    # the body differs each time, the room stays the same
     seen.append(page.locator("canvas").screenshot())
-    assert all(0.01 < changed(one, other) < 0.3 for one, other in pairwise([empty, *seen]))
+    assert all(0.01 < changed(before, after) < 0.3 for before, after in pairwise([empty, *seen]))
     assert "sketch seen after" in page.locator(".stages").inner_text()
 
 
 @pytest.mark.parametrize("again", [False, True])
-def test_cancelled_after_a_sketch_what_was_there_comes_back(open_page: Open, server: Playing, again: bool) -> None:
+def test_cancelled_after_a_sketch_what_was_there_comes_back(
+    open_page: Open, server: PlaygroundClient, again: bool
+) -> None:
     page = open_page(server.url)
     if again:
         generate(page, seconds="3", seed="1", steps="2")
@@ -106,7 +108,7 @@ def test_cancelled_after_a_sketch_what_was_there_comes_back(open_page: Open, ser
     assert made(page) == again and page.get_by_role("button", name="Keep beside").is_visible() == again
 
 
-def test_what_is_wrong_is_said_and_the_page_goes_on(open_page: Open, server: Playing) -> None:
+def test_what_is_wrong_is_said_and_the_page_goes_on(open_page: Open, server: PlaygroundClient) -> None:
     page = open_page(server.url, refused=True)
     generate(page, seconds="1", seed="1", steps="2")
     for name, value in (("seconds", "90"), ("steps", "many"), ("guidance", "-3"), ("seed", "1.5")):
@@ -119,7 +121,7 @@ def test_what_is_wrong_is_said_and_the_page_goes_on(open_page: Open, server: Pla
 
 
 def long_run(page: Page) -> None:
-    """Start a clip that would take long, and wait until it is under way."""
+    """Start a clip that takes long, and wait until it is being generated."""
     page.get_by_label("What should the person do?").fill(TEXT)
     settings(page, seconds="9.8", steps=LONG_STEPS)
     page.get_by_role("button", name="Generate").click()
@@ -127,7 +129,7 @@ def long_run(page: Page) -> None:
 
 
 @pytest.mark.parametrize("way", ["button", "key", "closed"])
-def test_cancel_stops_the_clip(open_page: Open, server: Playing, way: str) -> None:
+def test_cancel_stops_the_clip(open_page: Open, server: PlaygroundClient, way: str) -> None:
     page = open_page(server.url)
     long_run(page)
     if way == "button":
@@ -145,7 +147,7 @@ def test_cancel_stops_the_clip(open_page: Open, server: Playing, way: str) -> No
         generate(page, seconds="1", steps="2")
 
 
-def test_two_tabs_at_once(open_page: Open, server: Playing) -> None:
+def test_two_tabs_at_once(open_page: Open, server: PlaygroundClient) -> None:
     first, second = open_page(server.url), open_page(server.url)
     for page in (first, second):
         page.get_by_label("What should the person do?").fill(TEXT)
@@ -157,7 +159,7 @@ def test_two_tabs_at_once(open_page: Open, server: Playing) -> None:
     assert download(first, ".bvh") == download(second, ".bvh")
 
 
-def test_a_link_makes_the_clip_again_and_runs_nothing_by_itself(open_page: Open, server: Playing) -> None:
+def test_a_link_makes_the_clip_again_and_runs_nothing_by_itself(open_page: Open, server: PlaygroundClient) -> None:
     page = open_page(server.url)
     generate(page, "a person walks slowly", seconds="1.5", steps="3")
     page.get_by_label("Weight of slowly").fill("0.5")
@@ -173,7 +175,7 @@ def test_a_link_makes_the_clip_again_and_runs_nothing_by_itself(open_page: Open,
     assert download(other, ".npz") == download(page, ".npz")
 
 
-def test_a_clip_is_kept_beside_the_next(open_page: Open, server: Playing) -> None:
+def test_a_clip_is_kept_beside_the_next(open_page: Open, server: PlaygroundClient) -> None:
     page = open_page(server.url, 900, 480)
     generate(page, seconds="1", seed="1", steps="2")
     page.get_by_role("button", name="Keep beside").click()

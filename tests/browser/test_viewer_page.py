@@ -1,4 +1,4 @@
-"""The page of clips in a browser: it draws, it moves, it obeys, on a desk and on a phone."""
+"""The page of clips in a browser: drawing, playback, keyboard and mouse, on wide and narrow screens."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The command line: bad input gives one line on stderr, exit code 2 and no file; good input what it says."""
+"""Input of the command line: invalid input gives one line on stderr, exit code 2 and no file."""
 
 from __future__ import annotations
 
@@ -9,12 +9,7 @@ import pytest
 
 import kinegraph
 from kinegraph import MotionPipeline, cli
-from kinegraph.bundle.reader import DEFAULT_BUNDLE
 from support.cli_runs import Parser, fails, not_loaded, whole
-
-needs_default = pytest.mark.skipif(
-    not (DEFAULT_BUNDLE / "manifest.json").is_file(), reason="the default bundle has not been exported yet"
-)
 
 RUNTIME = Path(kinegraph.__file__).resolve().parents[1]
 
@@ -140,7 +135,7 @@ def test_parse_prints_one_object(capsys: pytest.CaptureFixture[str], monkeypatch
 def test_parse_prints_one_object_per_line(
     capsys: pytest.CaptureFixture[str], here: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """U+2028 ends a line for `str.splitlines`, but not in JSON lines; a BOM is no part of a caption."""
+    """U+2028 ends a line for `str.splitlines`, but not in JSON lines; a BOM is not part of a caption."""
     monkeypatch.setattr(MotionPipeline, "load", lambda *_, **__: Parser())
     captions = ["a person walks", "a\u2028b", "über 😀", "{curly}"]
     lines = [

@@ -1,4 +1,4 @@
-"""The command line: what it prints and writes when all is well, and how it ends when it is stopped."""
+"""Output of the command line: what it prints and writes for valid input, and how it ends when it is stopped."""
 
 from __future__ import annotations
 
@@ -13,14 +13,9 @@ import pytest
 
 import kinegraph
 from kinegraph import MotionPipeline, cli
-from kinegraph.bundle.reader import DEFAULT_BUNDLE
 from kinegraph.errors import Cancelled, InvalidInputError
 from support.cli_runs import Parser, fails
 from support.synthetic_bundle import bundle_files
-
-needs_default = pytest.mark.skipif(
-    not (DEFAULT_BUNDLE / "manifest.json").is_file(), reason="the default bundle has not been exported yet"
-)
 
 RUNTIME = Path(kinegraph.__file__).resolve().parents[1]
 
@@ -90,7 +85,7 @@ def test_a_terminal_without_unicode_gets_escapes(monkeypatch: pytest.MonkeyPatch
 def run(*arguments: str, folder: Path) -> subprocess.CompletedProcess[str]:
     environment = {**os.environ, "PYTHONPATH": str(RUNTIME), "PYTHONDONTWRITEBYTECODE": "1"}
     return subprocess.run(
-        [sys.executable, "-m", "kinegraph.cli", *arguments],
+        [sys.executable, "-m", "kinegraph", *arguments],
         cwd=folder,
         env=environment,
         capture_output=True,
@@ -110,7 +105,7 @@ def test_version_and_exit_code_of_the_program(tmp_path: Path) -> None:
 
 @pytest.mark.skipif(os.name != "posix", reason="pipes of POSIX")
 def test_a_closed_pipe_is_quiet(bundle: Path) -> None:
-    command = f"{sys.executable} -m kinegraph.cli info --json --bundle {bundle}; echo $? >&2"
+    command = f"{sys.executable} -m kinegraph info --json --bundle {bundle}; echo $? >&2"
     reader, writer = os.pipe()
     os.close(reader)
     environment = {**os.environ, "PYTHONPATH": str(RUNTIME)}
@@ -140,7 +135,6 @@ BAD_OPTIONS = [
 ]
 
 
-@needs_default
 @pytest.mark.parametrize("arguments", BAD_OPTIONS, ids=lambda item: " ".join(item)[:40])
 def test_bad_text_and_options_write_nothing(
     capsys: pytest.CaptureFixture[str], here: Path, arguments: list[str]
@@ -149,7 +143,6 @@ def test_bad_text_and_options_write_nothing(
     assert list(here.iterdir()) == []
 
 
-@needs_default
 @pytest.mark.parametrize("text", ["😀", "\udcff walks", "a\0b", "\u202e\u200b"])
 def test_odd_text_ends_in_a_clip_or_one_line(capsys: pytest.CaptureFixture[str], here: Path, text: str) -> None:
     code = cli.main(["generate", text, "-o", "x.npz", "--steps", "1", "--seed", "1"])
@@ -163,7 +156,6 @@ def test_odd_text_ends_in_a_clip_or_one_line(capsys: pytest.CaptureFixture[str],
         assert list(here.iterdir()) == []
 
 
-@needs_default
 def test_generate_tells_what_it_wrote(capsys: pytest.CaptureFixture[str], here: Path) -> None:
     arguments = ["generate", "a person walks forward", "--seconds", "2", "--seed", "7", "--steps", "2"]
     assert cli.main([*arguments, "-o", "x.npz", "--json"]) == 0
@@ -179,7 +171,6 @@ def test_generate_tells_what_it_wrote(capsys: pytest.CaptureFixture[str], here: 
     assert "specific 2/2" in captured.err
 
 
-@needs_default
 def test_a_parsed_graph_goes_back_in(capsys: pytest.CaptureFixture[str], here: Path) -> None:
     pytest.importorskip("spacy", reason="plain sentences need the text extra")
     assert cli.main(["parse", "a person walks slowly to the left"]) == 0

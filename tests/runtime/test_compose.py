@@ -11,7 +11,7 @@ import pytest
 
 from kinegraph import Concept, InvalidInputError, MotionPipeline
 from kinegraph.bundle.reader import DEFAULT_BUNDLE
-from kinegraph.cli.inputs import weighted
+from kinegraph.cli.inputs import split_weight
 from kinegraph.concepts import joint_caption, validate_concepts, validate_lambdas
 from kinegraph.conditioning import Encoders
 from kinegraph.diffusion.sampling import StepInfo
@@ -231,7 +231,7 @@ def test_the_joint_sentence_names_what_should_happen() -> None:
     [("walks", ("walks", None)), ("walks:0.8", ("walks", 0.8)), ("a: b", ("a: b", None)), ("a:b:2", ("a:b", 2.0))],
 )
 def test_a_number_after_a_colon_is_a_weight(text: str, expected: tuple[str, float | None]) -> None:
-    assert weighted(text) == expected
+    assert split_weight(text) == expected
 
 
 @pytest.mark.parametrize(

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from kinegraph.bundle.contract import LEVELS
 from kinegraph.bundle.manifest import Manifest, ScheduleSpec
 from kinegraph.errors import InvalidInputError
-from kinegraph.options import GenerateOptions, frame_count, resolve_options
+from kinegraph.options import GenerateOptions, frame_count, parse_numbers, resolve_options
 from support.synthetic_bundle import bundle_files, manifest_for
 
 TOY = manifest_for(bundle_files())
@@ -256,3 +256,26 @@ def check_valid(options: GenerateOptions, manifest: Manifest) -> None:
         times = manifest.schedule.noise.timesteps(options.steps[level])
         assert len(times) == options.steps[level]
         assert 0 <= options.guidance[level] <= 20
+
+
+@pytest.mark.parametrize(
+    ("text", "kind", "expected"),
+    [
+        ("15", int, 15),
+        ("15,15,20", int, (15, 15, 20)),
+        ("2.5", float, 2.5),
+        ("2.5, 2.5,3", float, (2.5, 2.5, 3.0)),
+        ("nan", float, pytest.approx(math.nan, nan_ok=True)),
+    ],
+)
+def test_numbers_are_parsed_from_text(text: str, kind: type[int] | type[float], expected: object) -> None:
+    assert parse_numbers(text, kind) == expected
+
+
+@pytest.mark.parametrize(
+    ("text", "kind"), [("", int), ("1,", int), ("1.5", int), ("many", float), ("1;2", float), ("9" * 5000, int)]
+)
+def test_text_without_numbers_is_refused(text: str, kind: type[int] | type[float]) -> None:
+    with pytest.raises(InvalidInputError, match="is not a number, nor several like 15,15,20") as caught:
+        parse_numbers(text, kind)
+    assert len(str(caught.value)) < 200

@@ -1,4 +1,4 @@
-"""`kinegraph play` over the wire: what comes back, that it is the command line's, and that it stops."""
+"""`kinegraph play` over HTTP: its answers equal the command line's, and generation stops on request."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ import kinegraph
 from kinegraph import MotionPipeline, cli
 from kinegraph.errors import Cancelled
 from support.cli_runs import fails
-from support.playing import TEXT, WISH, Playing
+from support.playground import REQUEST, TEXT, PlaygroundClient
 
 pytest.importorskip("spacy")
 pytest.importorskip("starlette")
@@ -27,19 +27,19 @@ pytest.importorskip("uvicorn")
 from kinegraph.playground.fair_queue import MAX_PER_TAB
 
 RUNTIME = Path(kinegraph.__file__).resolve().parents[1]
-LONG = {**WISH, "seconds": 9.8, "steps": 900}
-"""Would take ten seconds and more."""
+LONG = {**REQUEST, "seconds": 9.8, "steps": 900}
+"""A request that takes ten seconds or more."""
 
 
 def test_a_clip_comes_with_its_graph_its_steps_and_the_time_of_each_stage(
-    server: Playing, pipe: MotionPipeline
+    server: PlaygroundClient, pipe: MotionPipeline
 ) -> None:
-    events = server.clip(WISH)
+    events = server.clip(REQUEST)
     kinds = [event["event"] for event in events]
     assert kinds[:2] == ["queued", "graph"] and kinds[-1] == "clip" and {*kinds[2:-1]} == {"step", "level"}
-    coarse = [(place, event["level"]) for place, event in enumerate(events) if event["event"] == "level"]
-    assert [level for _, level in coarse] == ["motion", "action"]
-    assert all(kinds[place - 1] == kinds[place + 1] == "step" for place, _ in coarse)  # between one level and the next
+    previews = [(index, event["level"]) for index, event in enumerate(events) if event["event"] == "level"]
+    assert [level for _, level in previews] == ["motion", "action"]
+    assert all(kinds[index - 1] == kinds[index + 1] == "step" for index, _ in previews)  # between two levels
     assert events[1]["graph"] == pipe.parse(TEXT).to_dict()
     assert [(event["level"], event["done"]) for event in events if event.get("step") == 3] == [
         ("motion", 3), ("action", 6), ("specific", 9),
@@ -56,31 +56,31 @@ FLAGS = ["--seconds", "2", "--seed", "7", "--steps", "3", "--threads", "1", "--q
 @pytest.mark.parametrize(
     ("suffix", "names"), [(".bvh", "smpl"), (".bvh", "mixamo"), (".glb", "mixamo"), (".npz", "smpl"), (".html", "smpl")]
 )
-def test_files_are_those_of_the_command_line(server: Playing, here: Path, suffix: str, names: str) -> None:
-    answer = server.post("/api/file", {"wish": WISH, "suffix": suffix, "names": names})
+def test_files_are_those_of_the_command_line(server: PlaygroundClient, here: Path, suffix: str, names: str) -> None:
+    response = server.post("/api/file", {"wish": REQUEST, "suffix": suffix, "names": names})
     assert cli.main(["generate", TEXT, *FLAGS, "--names", names, "-o", f"walk{suffix}"]) == 0
-    assert answer.status == 200 and answer.body == (here / f"walk{suffix}").read_bytes()
+    assert response.status == 200 and response.body == (here / f"walk{suffix}").read_bytes()
 
 
-def test_an_edited_graph_gives_the_clip_of_the_edits(server: Playing, here: Path) -> None:
+def test_an_edited_graph_gives_the_clip_of_the_edits(server: PlaygroundClient, here: Path) -> None:
     graph = server.post("/api/parse", {"text": TEXT}).json
     graph = server.post("/api/edit", {"graph": graph, "edit": {"kind": "drop", "node": 3}}).json
     assert graph["caption"] == "a person walks to the left"
     graph["actions"][0]["arguments"][-1]["weight"] = 0.25
-    answer = server.post("/api/file", {"wish": {**WISH, "text": TEXT, "graph": graph}, "suffix": ".npz"})
+    response = server.post("/api/file", {"wish": {**REQUEST, "text": TEXT, "graph": graph}, "suffix": ".npz"})
     edits = ["--drop", "slowly", "--weight", "to the left=0.25"]
     assert cli.main(["generate", TEXT, *FLAGS, *edits, "-o", "walk.npz"]) == 0
-    assert answer.body == (here / "walk.npz").read_bytes()
-    assert answer.body != server.post("/api/file", {"wish": WISH, "suffix": ".npz"}).body
+    assert response.body == (here / "walk.npz").read_bytes()
+    assert response.body != server.post("/api/file", {"wish": REQUEST, "suffix": ".npz"}).body
 
 
-def test_concepts_give_the_clip_of_compose(server: Playing, here: Path) -> None:
+def test_concepts_give_the_clip_of_compose(server: PlaygroundClient, here: Path) -> None:
     concepts = [{"text": "a person walks"}, {"text": "a person runs", "weight": -0.5}]
-    wish = {"concepts": concepts, "method": "latent", "seed": str(2**62 + 1), "seconds": "2", "steps": "3"}
-    answer = server.post("/api/file", {"wish": wish, "suffix": ".npz"})
+    request = {"concepts": concepts, "method": "latent", "seed": str(2**62 + 1), "seconds": "2", "steps": "3"}
+    response = server.post("/api/file", {"wish": request, "suffix": ".npz"})
     flags = [*FLAGS, "--seed", str(2**62 + 1), "--method", "latent"]
     assert cli.main(["compose", "--and", "a person walks", "--not", "a person runs:0.5", *flags, "-o", "x.npz"]) == 0
-    assert answer.body == (here / "x.npz").read_bytes()
+    assert response.body == (here / "x.npz").read_bytes()
 
 
 @pytest.mark.parametrize(
@@ -94,17 +94,22 @@ def test_concepts_give_the_clip_of_compose(server: Playing, here: Path) -> None:
     ],
 )
 def test_how_concepts_are_mixed_is_that_of_compose(
-    server: Playing, here: Path, changes: dict[str, Any], flags: list[str]
+    server: PlaygroundClient, here: Path, changes: dict[str, Any], flags: list[str]
 ) -> None:
-    wish = {"concepts": [{"text": "a person walks"}, {"text": "a person waves"}], "seed": 7, "seconds": 2, "steps": 3}
-    answer = server.post("/api/file", {"wish": {**wish, **changes}, "suffix": ".npz"})
+    request = {
+        "concepts": [{"text": "a person walks"}, {"text": "a person waves"}],
+        "seed": 7,
+        "seconds": 2,
+        "steps": 3,
+    }
+    response = server.post("/api/file", {"wish": {**request, **changes}, "suffix": ".npz"})
     words = ["--and", "a person walks", "--and", "a person waves"]
     assert cli.main(["compose", *words, *FLAGS, *flags, "-o", "x.npz"]) == 0
-    assert answer.body == (here / "x.npz").read_bytes()
-    assert answer.body != server.post("/api/file", {"wish": wish, "suffix": ".npz"}).body
+    assert response.body == (here / "x.npz").read_bytes()
+    assert response.body != server.post("/api/file", {"wish": request, "suffix": ".npz"}).body
 
 
-def test_adding_and_hiding_change_the_graph(server: Playing) -> None:
+def test_adding_and_hiding_change_the_graph(server: PlaygroundClient) -> None:
     graph = server.post("/api/parse", {"text": "a person walks"}).json
     for edit in (
         {"kind": "argument", "node": 1, "role": "ARGM-MNR", "text": "slowly"},
@@ -112,14 +117,14 @@ def test_adding_and_hiding_change_the_graph(server: Playing) -> None:
         {"kind": "mask", "node": 1},
         {"kind": "replace", "node": 2, "text": "bows"},
     ):
-        answer = server.post("/api/edit", {"graph": graph, "edit": edit})
-        assert answer.status == 200, answer
-        graph = answer.json
+        response = server.post("/api/edit", {"graph": graph, "edit": edit})
+        assert response.status == 200, response
+        graph = response.json
     assert graph["caption"] == "a person [MASK] slowly and bows"
 
 
 def test_a_reader_who_leaves_stops_the_clip(
-    server: Playing, pipe: MotionPipeline, monkeypatch: pytest.MonkeyPatch
+    server: PlaygroundClient, pipe: MotionPipeline, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     stopped = threading.Event()
     generate = pipe.generate
@@ -140,15 +145,15 @@ def test_a_reader_who_leaves_stops_the_clip(
     # and one who leaves while waiting is not waited for
     with server.events(LONG, tab="first"), server.events(LONG, tab="second"):
         time.sleep(0.1)
-    assert server.clip(WISH, tab="third")[-1]["event"] == "clip"
+    assert server.clip(REQUEST, tab="third")[-1]["event"] == "clip"
 
 
-def test_a_second_tab_is_not_starved_by_the_first(server: Playing) -> None:
+def test_a_second_tab_is_not_starved_by_the_first(server: PlaygroundClient) -> None:
     order: list[str] = []
 
     def ask(tab: str) -> None:
-        # many steps: the first clip must still be in the making when the other tab asks, however fast the machine
-        assert server.clip({**WISH, "steps": 200}, tab)[-1]["event"] == "clip"
+        # many steps, so that even on a fast machine the first clip is unfinished when the other tab asks
+        assert server.clip({**REQUEST, "steps": 200}, tab)[-1]["event"] == "clip"
         order.append(tab)
 
     threads = [threading.Thread(target=ask, args=("busy",)) for _ in range(4)]
@@ -162,22 +167,22 @@ def test_a_second_tab_is_not_starved_by_the_first(server: Playing) -> None:
     assert len(order) == 5 and order.index("other") <= 2
 
 
-def test_a_full_queue_is_said_at_once(server: Playing) -> None:
+def test_a_full_queue_is_said_at_once(server: PlaygroundClient) -> None:
     with ExitStack() as open_streams:
         for _ in range(1 + MAX_PER_TAB):
             events = open_streams.enter_context(server.events(LONG, "full"))
             assert next(events)["event"] == "queued"
-        # the last of them takes its place in the queue right after it said so
+        # the last of them enters the queue right after its event
         time.sleep(0.2)
-        answer = server.post("/api/clip", WISH, "full")
-        assert answer.status == 503 and answer.headers["retry-after"] == "2"
-        assert f"{MAX_PER_TAB} requests are waiting already" in answer.json["error"]
+        response = server.post("/api/clip", REQUEST, "full")
+        assert response.status == 503 and response.headers["retry-after"] == "2"
+        assert f"{MAX_PER_TAB} requests are waiting already" in response.json["error"]
         assert server.post("/api/parse", {"text": TEXT}, "full").status == 200
-    assert server.clip(WISH, "full")[-1]["event"] == "clip"
+    assert server.clip(REQUEST, "full")[-1]["event"] == "clip"
 
 
 def test_a_port_that_cannot_be_had_is_said_before_anything_is_loaded(
-    server: Playing, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    server: PlaygroundClient, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr(MotionPipeline, "load", lambda *_, **__: pytest.fail("loaded"))
     assert "choose another with --port" in fails(capsys, "play", "--no-browser", "--port", str(server.port))
@@ -187,16 +192,16 @@ def test_a_port_that_cannot_be_had_is_said_before_anything_is_loaded(
 def test_the_command_says_its_address_answers_and_ends_with_ctrl_c() -> None:
     environment = {**os.environ, "PYTHONPATH": str(RUNTIME)}
     process = subprocess.Popen(
-        [sys.executable, "-m", "kinegraph.cli", "play", "--port", "0", "--no-browser", "--threads", "1"],
+        [sys.executable, "-m", "kinegraph", "play", "--port", "0", "--no-browser", "--threads", "1"],
         env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
     )  # fmt: skip
     try:
         assert process.stdout is not None
         line = process.stdout.readline()
         assert line.startswith("http://127.0.0.1:"), process.communicate()
-        own = Playing(int(line.split(":")[2].split("/")[0]))
-        assert own.clip(WISH)[-1]["event"] == "clip"
-        with own.events(LONG) as events:
+        client = PlaygroundClient(int(line.split(":")[2].split("/")[0]))
+        assert client.clip(REQUEST)[-1]["event"] == "clip"
+        with client.events(LONG) as events:
             while next(events)["event"] != "step":
                 pass
             process.send_signal(signal.SIGINT)

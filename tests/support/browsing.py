@@ -1,4 +1,4 @@
-"""What the tests of pages share: waiting, and looking at what is drawn."""
+"""Helpers of browser tests: waiting, comparing pictures, and using the playground."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ if TYPE_CHECKING:
     from playwright.sync_api import Page
 
 Open = Callable[..., "Page"]
-"""The fixture `open_page`: an address, a width, a height, and options of the browser's context -> the page."""
+"""The fixture `open_page`: address, width, height and options of the browser context -> page."""
 
 TEXT = "a person walks forward and turns to the left"
 
 
 def wait_until(page: Page, holds: Callable[[], bool], seconds: float = 30) -> None:
-    """The page's policy forbids strings that become scripts, and with them playwright's own way of waiting."""
+    """Wait for a condition. Playwright's own way evaluates strings as scripts, which the page's policy forbids."""
     deadline = time.monotonic() + seconds
     while not holds():
         assert time.monotonic() < deadline, page.locator("body").inner_text()
@@ -29,22 +29,22 @@ def wait_until(page: Page, holds: Callable[[], bool], seconds: float = 30) -> No
 
 
 def time_of(page: Page) -> float:
-    """The time of the clip that is drawn, seconds."""
+    """Return the time of the clip that is drawn, seconds."""
     return float(page.locator("canvas").get_attribute("data-time") or "nan")
 
 
 def shown(page: Page, seconds: float) -> bytes:
-    """The drawing at a time of the clip, as PNG."""
+    """Seek to a time of the clip and return the drawing as PNG."""
     page.locator(".scrub").fill(str(seconds))
     wait_until(page, lambda: abs(time_of(page) - seconds) < 0.026)
     page.wait_for_timeout(100)
     return page.locator("canvas").screenshot()
 
 
-def changed(one: bytes, other: bytes) -> float:
-    """Share of pixels that differ clearly between two pictures of the same size."""
+def changed(before: bytes, after: bytes) -> float:
+    """Return the share of pixels that differ clearly between two pictures of the same size."""
     image = pytest.importorskip("PIL.Image")
-    first, second = (np.asarray(image.open(io.BytesIO(data)).convert("RGB"), dtype=int) for data in (one, other))
+    first, second = (np.asarray(image.open(io.BytesIO(data)).convert("RGB"), dtype=int) for data in (before, after))
     return float((np.abs(first - second).max(axis=-1) > 24).mean())
 
 
@@ -57,6 +57,7 @@ def settings(page: Page, **values: str) -> None:
 
 
 def made(page: Page) -> int:
+    """Count the clips that the page has shown."""
     return int(page.locator("html").get_attribute("data-made") or 0)
 
 

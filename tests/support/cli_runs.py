@@ -1,4 +1,4 @@
-"""Running the command line inside a test."""
+"""Helpers of tests that run the command line."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from kinegraph.graph import Action, SemanticGraph
 
 
 def fails(capsys: pytest.CaptureFixture[str], *arguments: str) -> str:
-    """Run a command that must fail; returns its one line."""
+    """Run a command that must fail, and return its one line on stderr."""
     assert cli.main(arguments) == 2
     captured = capsys.readouterr()
     assert captured.out == ""
@@ -20,16 +20,17 @@ def fails(capsys: pytest.CaptureFixture[str], *arguments: str) -> str:
 
 
 def not_loaded(*_: object, **__: object) -> None:
+    """Stand in for `MotionPipeline.load` where it must not be called."""
     raise AssertionError("a bundle was loaded although the input is bad")
 
 
 def whole(caption: str) -> SemanticGraph:
-    """A graph whose one action is the whole caption."""
+    """Make a graph whose one action is the whole caption."""
     return SemanticGraph(caption, (Action(caption, 0, len(caption), 0),))
 
 
 class Parser:
-    """Stands in for the pipeline where only parsing is asked for."""
+    """Stand-in for the pipeline where only parsing is needed."""
 
     def parse(self, text: str) -> SemanticGraph:
         if not text.strip():

@@ -64,7 +64,7 @@ def benched(bundle: Path | None, repeats: int, group: Path | None) -> dict[str, 
     with tempfile.TemporaryDirectory() as folder:
         out = Path(folder) / "bench.json"
         more = [] if bundle is None else ["--bundle", str(bundle)]
-        words = [sys.executable, "-m", "kinegraph.cli", "bench", "--repeats", str(repeats), "--json", str(out), *more]
+        words = [sys.executable, "-m", "kinegraph", "bench", "--repeats", str(repeats), "--json", str(out), *more]
         subprocess.run(words, check=True, stdout=subprocess.DEVNULL, preexec_fn=confined)
         found: dict[str, Any] = json.loads(out.read_text(encoding="utf-8"))
     return found

@@ -36,7 +36,7 @@ def press(page: Page, text: str) -> dict[str, float]:
 
 def measured(repeats: int, threads: int | None, bundle: Path | None) -> dict[str, Any]:
     """The first press and all others, of one server and one page."""
-    words = [sys.executable, "-m", "kinegraph.cli", "play", "--port", "0", "--no-browser"]
+    words = [sys.executable, "-m", "kinegraph", "play", "--port", "0", "--no-browser"]
     words += [] if threads is None else ["--threads", str(threads)]
     words += [] if bundle is None else ["--bundle", str(bundle)]
     with subprocess.Popen(words, stdout=subprocess.PIPE, text=True) as server, sync_playwright() as driver:

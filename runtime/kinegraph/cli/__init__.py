@@ -1,6 +1,6 @@
 """The command line: `kinegraph generate | compose | sequence | view | play | parse | info | verify | bench`.
 
-Exit codes: 0 done; 2 wrong input, bundle or target (one line on stderr says what); 130 interrupted.
+Exit codes: 0 success; 2 invalid input, bundle or target (one line on stderr says why); 130 interrupted.
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ import argparse
 import io
 import os
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Final
 
 from kinegraph import __version__
@@ -29,25 +29,45 @@ from kinegraph.cli.inspect import info, parse, run_bench, verify
 from kinegraph.cli.pages import play, view
 from kinegraph.errors import Cancelled, KinegraphError
 
-# Everything that loads numpy or onnxruntime is imported where it is used: `--help` must be instant.
+# Modules that load numpy or onnxruntime are imported where they are used: `--help` must be instant.
 
 EXIT_ERROR: Final = 2
 EXIT_INTERRUPTED: Final = 130
 EXIT_BROKEN_PIPE: Final = 141
-"""128 + SIGPIPE, what a shell reports for a program that wrote to a closed pipe."""
+"""128 + SIGPIPE, as a shell reports a program that wrote to a closed pipe."""
+
+AddArguments = Callable[[argparse.ArgumentParser], None]
+Run = Callable[[argparse.Namespace], int]
+
+COMMANDS: Final[tuple[tuple[str, str, AddArguments, Run], ...]] = (
+    ("generate", "make a clip from a sentence or a graph", add_generate, generate),
+    ("compose", "make a clip of several motions at once, or without some", add_compose, compose),
+    ("sequence", "make a clip of several sentences, one after another", add_sequence, sequence),
+    ("view", "show saved clips in the browser", add_view, view),
+    ("play", "make clips in the browser, on this machine", add_play, play),
+    ("parse", "print or draw the semantic graph of a sentence", add_parse, parse),
+    ("info", "describe a bundle: abilities, licences, provenance, sizes, quality", add_bundle, info),
+    ("verify", "check every file, operator and session of a bundle", add_bundle, verify),
+    ("bench", "measure the speed of a bundle on this machine, stage by stage", add_bench, run_bench),
+)
+"""Name, help, function that adds its arguments, and function that runs it and returns the exit code."""
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Run one command; returns the exit code (argparse itself exits with 0 or 2)."""
-    options = _parser().parse_args(arguments)
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run one command and return the exit code; argparse itself exits with 0 or 2.
+
+    Args:
+        argv: arguments after the name of the program; None takes those of the process.
+    """
+    args = _parser().parse_args(argv)
     if isinstance(sys.stdout, io.TextIOWrapper):
         # A terminal without Unicode shows an escape instead of ending the program.
         sys.stdout.reconfigure(errors="backslashreplace")
     try:
-        code: int = options.run(options)
+        code: int = args.run(args)
         sys.stdout.flush()
     except BrokenPipeError:
-        # The reader (head, less) has gone. Python would complain once more while closing stdout.
+        # The reader (head, less) is gone. Python would complain once more while closing stdout.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return EXIT_BROKEN_PIPE
     except (KeyboardInterrupt, Cancelled):
@@ -64,19 +84,9 @@ def _parser() -> argparse.ArgumentParser:
         prog="kinegraph", description="A sentence in, a clip of human motion out, on a plain CPU."
     )
     parser.add_argument("--version", action="version", version=f"kinegraph {__version__}")
-    verbs = parser.add_subparsers(title="commands", required=True, metavar="COMMAND")
-    for name, text, arguments, run in (
-        ("generate", "make a clip from a sentence or a graph", add_generate, generate),
-        ("compose", "make a clip of several motions at once, or without some", add_compose, compose),
-        ("sequence", "make a clip of several sentences, one after another", add_sequence, sequence),
-        ("view", "show saved clips in the browser", add_view, view),
-        ("play", "make clips in the browser, on this machine", add_play, play),
-        ("parse", "print or draw the semantic graph of a sentence", add_parse, parse),
-        ("info", "what a bundle is: what it can do, licences, provenance, sizes, quality", add_bundle, info),
-        ("verify", "check every file, operator and session of a bundle", add_bundle, verify),
-        ("bench", "how fast a bundle is on this machine, stage by stage", add_bench, run_bench),
-    ):
-        verb = verbs.add_parser(name, help=text)
-        arguments(verb)
-        verb.set_defaults(run=run)
+    commands = parser.add_subparsers(title="commands", required=True, metavar="COMMAND")
+    for name, description, add_arguments, run in COMMANDS:
+        command = commands.add_parser(name, help=description)
+        add_arguments(command)
+        command.set_defaults(run=run)
     return parser

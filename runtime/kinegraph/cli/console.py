@@ -1,4 +1,4 @@
-"""What the command line shows: the progress line, JSON, and the tables of `info` and `verify`."""
+"""Output of the command line: the progress line, JSON, and errors on one line."""
 
 from __future__ import annotations
 
@@ -10,27 +10,27 @@ from typing import TYPE_CHECKING, Final, Self, TextIO
 if TYPE_CHECKING:
     from kinegraph.diffusion.sampling import StepInfo
 
-_BAR: Final = 24
+_BAR_WIDTH: Final = 24
 _CLEAR_LINE: Final = "\r\x1b[K"
 
 
 class Progress:
-    """One line on stderr that is rewritten at every step and gone at the end."""
+    """Progress line that is rewritten at every diffusion step and cleared at the end."""
 
     def __init__(self, stream: TextIO | None) -> None:
-        """Show on `stream`; None shows nothing."""
+        """Write to `stream`; None writes nothing."""
         self._stream = stream
 
     @classmethod
     def on_stderr(cls, *, quiet: bool, forced: bool) -> Self:
-        """A line for people at a terminal; a log file gets none unless asked for."""
-        wanted = forced or sys.stderr.isatty()
-        return cls(sys.stderr if wanted and not quiet else None)
+        """Write to stderr if it is a terminal; a log file gets no progress unless `forced`."""
+        visible = forced or sys.stderr.isatty()
+        return cls(sys.stderr if visible and not quiet else None)
 
     def show(self, info: StepInfo) -> None:
-        """Callback of `generate`; never asks to stop."""
+        """Show one step: the `on_step` of `MotionPipeline.generate`. It never asks to stop."""
         if self._stream is not None:
-            bar = ("#" * (_BAR * info.done // info.total)).ljust(_BAR, ".")
+            bar = ("#" * (_BAR_WIDTH * info.done // info.total)).ljust(_BAR_WIDTH, ".")
             self._stream.write(f"{_CLEAR_LINE}[{bar}] {info.level} {info.step}/{info.steps}")
             self._stream.flush()
 
@@ -46,11 +46,11 @@ class Progress:
 
 
 def as_json(value: object, *, pretty: bool = False) -> str:
-    """JSON for stdout; escapes what a terminal that is not UTF-8 could not take."""
+    """Write a value as JSON for stdout, with escapes where the terminal is not UTF-8."""
     utf8 = (sys.stdout.encoding or "").lower().replace("-", "") == "utf8"
     return json.dumps(value, ensure_ascii=not utf8, indent=2 if pretty else None)
 
 
 def one_line(error: BaseException) -> str:
-    """The message of an error on one line, whatever it quotes."""
+    """Return the message of an error on one line, whatever text it quotes."""
     return " ".join(str(error).split())

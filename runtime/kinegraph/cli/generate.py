@@ -5,57 +5,175 @@ from __future__ import annotations
 import argparse
 import time
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Self
 
 from kinegraph.cli.console import Progress, as_json
-from kinegraph.cli.inputs import concepts, edited, input_graph, load, take_files
+from kinegraph.cli.inputs import apply_edits, load_pipeline, parse_concepts, read_text_or_graph, take_paths
 from kinegraph.errors import OutputError
 
-# Everything that loads numpy or onnxruntime is imported where it is used: `--help` must be instant.
+# Modules that load numpy or onnxruntime are imported where they are used: `--help` must be instant.
 if TYPE_CHECKING:
     from kinegraph.clip import Clip
+    from kinegraph.diffusion.sampling import OnStep
+    from kinegraph.options import Guidance, Steps
     from kinegraph.pipeline import MotionPipeline
 
-
-def generate(options: argparse.Namespace) -> int:
-    """Clips of a sentence or a graph."""
-    targets = _targets(options)
-    wish = input_graph(options.text, options.graph)
-
-    def make(pipeline: MotionPipeline, **wishes: Any) -> list[Clip]:
-        graph = pipeline.parse(wish) if isinstance(wish, str) else wish
-        graph = edited(graph, options.edits)
-        if all(node.weight == 1 for node in graph.nodes):
-            return pipeline.takes(graph, len(targets), **wishes)
-        return _one_by_one(pipeline.generate, graph, len(targets), wishes)
-
-    return _make(options, targets, make)
+    MakeClips = Callable[[MotionPipeline, OnStep], list[Clip]]
+    """Makes the clips of one command; `on_step` counts the steps of all of them."""
 
 
-def compose(options: argparse.Namespace) -> int:
-    """Clips of several concepts, and the picture of their energies."""
-    targets = _targets(options)
-    if options.energy is not None:
-        _check_energy(options.energy, targets, options.force)
-    found = concepts(options.wanted, options.unwanted)
-    own = {"method": options.method, "text": options.text, "lambdas": options.lambdas, "agd": options.agd}
+@dataclass(frozen=True)
+class SamplingOptions:
+    """Sampling options that the commands share; `MotionPipeline.generate` documents and checks them."""
 
-    def make(pipeline: MotionPipeline, **wishes: Any) -> list[Clip]:
-        clips = _one_by_one(pipeline.compose, found, len(targets), own | wishes)
-        if options.energy is not None:
+    seed: int | None
+    steps: Steps | None
+    guidance: Guidance | None
+    foot_fix: bool
+
+    @classmethod
+    def from_args(cls, args: argparse.Namespace) -> Self:
+        """Take the options of a command."""
+        return cls(seed=args.seed, steps=args.steps, guidance=args.guidance, foot_fix=args.foot_fix)
+
+
+def generate(args: argparse.Namespace) -> int:
+    """Run `kinegraph generate`: clips of a sentence or a graph."""
+    targets = _check_targets(args)
+    text_or_graph = read_text_or_graph(args.text, args.graph)
+    seconds: float | None = args.seconds
+    sampling = SamplingOptions.from_args(args)
+
+    def make_clips(pipeline: MotionPipeline, on_step: OnStep) -> list[Clip]:
+        graph = pipeline.parse(text_or_graph) if isinstance(text_or_graph, str) else text_or_graph
+        graph = apply_edits(graph, args.edits)
+
+        def make_clip(seed: int | None, on_step: OnStep | None) -> Clip:
+            return pipeline.generate(
+                graph,
+                seconds=seconds,
+                seed=seed,
+                steps=sampling.steps,
+                guidance=sampling.guidance,
+                foot_fix=sampling.foot_fix,
+                on_step=on_step,
+            )
+
+        if any(node.weight != 1 for node in graph.nodes):  # weighted graphs cannot share a run
+            return _make_one_by_one(make_clip, len(targets), sampling.seed, on_step)
+        return pipeline.takes(
+            graph,
+            len(targets),
+            seconds=seconds,
+            seed=sampling.seed,
+            steps=sampling.steps,
+            guidance=sampling.guidance,
+            foot_fix=sampling.foot_fix,
+            on_step=on_step,
+        )
+
+    return _run(args, targets, make_clips)
+
+
+def compose(args: argparse.Namespace) -> int:
+    """Run `kinegraph compose`: clips of several concepts, and a picture of their energies."""
+    targets = _check_targets(args)
+    if args.energy is not None:
+        _check_energy_target(args.energy, targets, args.force)
+    concepts = parse_concepts(args.positive, args.negated)
+    sampling = SamplingOptions.from_args(args)
+
+    def make_clips(pipeline: MotionPipeline, on_step: OnStep) -> list[Clip]:
+        def make_clip(seed: int | None, on_step: OnStep | None) -> Clip:
+            return pipeline.compose(
+                concepts,
+                method=args.method,
+                text=args.text,
+                lambdas=args.lambdas,
+                agd=args.agd,
+                seconds=args.seconds,
+                seed=seed,
+                steps=sampling.steps,
+                guidance=sampling.guidance,
+                foot_fix=sampling.foot_fix,
+                on_step=on_step,
+            )
+
+        clips = _make_one_by_one(make_clip, len(targets), sampling.seed, on_step)
+        if args.energy is not None:
             from kinegraph.energy import energy_maps
 
-            del wishes["foot_fix"]  # latents know no feet
-            maps = energy_maps(pipeline, found, **own | wishes | {"seed": clips[0].seed})
-            maps.save(options.energy, force=options.force)
+            maps = energy_maps(
+                pipeline,
+                concepts,
+                method=args.method,
+                text=args.text,
+                lambdas=args.lambdas,
+                agd=args.agd,
+                seconds=args.seconds,
+                seed=clips[0].seed,
+                steps=sampling.steps,
+                guidance=sampling.guidance,
+                on_step=on_step,
+            )
+            maps.save(args.energy, force=args.force)
         return clips
 
-    return _make(options, targets, make)
+    return _run(args, targets, make_clips)
 
 
-def _check_energy(path: Path, targets: Sequence[Path], force: bool) -> None:
-    """The picture beside the clip must be another file, and one that can be written."""
+def sequence(args: argparse.Namespace) -> int:
+    """Run `kinegraph sequence`: clips of several sentences, one after another."""
+    targets = _check_targets(args)
+    sampling = SamplingOptions.from_args(args)
+
+    def make_clips(pipeline: MotionPipeline, on_step: OnStep) -> list[Clip]:
+        def make_clip(seed: int | None, on_step: OnStep | None) -> Clip:
+            return pipeline.sequence(
+                args.texts,
+                seconds=args.seconds,
+                seed=seed,
+                steps=sampling.steps,
+                guidance=sampling.guidance,
+                foot_fix=sampling.foot_fix,
+                on_step=on_step,
+            )
+
+        return _make_one_by_one(make_clip, len(targets), sampling.seed, on_step)
+
+    return _run(args, targets, make_clips)
+
+
+def _make_one_by_one(
+    make_clip: Callable[[int | None, OnStep | None], Clip], count: int, seed: int | None, on_step: OnStep
+) -> list[Clip]:
+    """Make clips of consecutive seeds that cannot share a run; without a seed the first clip draws one."""
+    from kinegraph.diffusion.sampling import subrange_progress
+
+    first = make_clip(seed, subrange_progress(on_step, 0, count))
+    others = (make_clip(first.seed + index, subrange_progress(on_step, index, count)) for index in range(1, count))
+    return [first, *others]
+
+
+def _check_targets(args: argparse.Namespace) -> list[Path]:
+    """List the files to write, and refuse those that cannot be written before anything is computed for them."""
+    from kinegraph.formats import check_clip_target, check_names
+    from kinegraph.motion.resampling import check_fps
+
+    # The cheapest checks come first.
+    targets = take_paths(args.output, args.takes)
+    check_names(args.output.suffix.lower(), args.names)
+    for target in targets:
+        check_clip_target(target, args.force)
+    if args.fps is not None:
+        check_fps(args.fps)
+    return targets
+
+
+def _check_energy_target(path: Path, targets: Sequence[Path], force: bool) -> None:
+    """Refuse a picture that cannot be written, or that is the same file as a clip."""
     from kinegraph.files import check_target
     from kinegraph.formats import check_installed
 
@@ -65,61 +183,19 @@ def _check_energy(path: Path, targets: Sequence[Path], force: bool) -> None:
         raise OutputError(f"--energy and -o name the same file {str(path)!r}; choose two")
 
 
-def sequence(options: argparse.Namespace) -> int:
-    """Clips of several sentences, one after another."""
-    targets = _targets(options)
-    return _make(
-        options,
-        targets,
-        lambda pipeline, **wishes: _one_by_one(pipeline.sequence, options.texts, len(targets), wishes),
-    )
-
-
-def _one_by_one(make: Callable[..., Clip], wish: object, count: int, wishes: dict[str, Any]) -> list[Clip]:
-    """Takes that cannot share a run; their seeds follow one another all the same."""
-    from kinegraph.diffusion.sampling import subrange_progress
-
-    def take(number: int, seed: int | None) -> Clip:
-        return make(wish, **wishes | {"seed": seed, "on_step": subrange_progress(wishes["on_step"], number, count)})
-
-    first = take(0, wishes["seed"])
-    return [first, *(take(number, first.seed + number) for number in range(1, count))]
-
-
-def _targets(options: argparse.Namespace) -> list[Path]:
-    """Files to write. The cheapest check first, and nothing is computed for a file that cannot be written."""
-    from kinegraph.formats import check_clip_target, check_names
-    from kinegraph.motion.resampling import check_fps
-
-    targets = take_files(options.output, options.takes)
-    check_names(options.output.suffix.lower(), options.names)
-    for target in targets:
-        check_clip_target(target, options.force)
-    if options.fps is not None:
-        check_fps(options.fps)
-    return targets
-
-
-def _make(options: argparse.Namespace, targets: Sequence[Path], make: Callable[..., list[Clip]]) -> int:
-    """Load, make, write, report."""
+def _run(args: argparse.Namespace, targets: Sequence[Path], make_clips: MakeClips) -> int:
+    """Load the bundle, make the clips, write and report them."""
     start = time.perf_counter()
-    pipeline = load(options.bundle, options.threads, getattr(options, "graph", None) is None)
+    # Only `generate` has --graph; with it no sentence is parsed.
+    pipeline = load_pipeline(args.bundle, args.threads, parses=getattr(args, "graph", None) is None)
     loaded = time.perf_counter()
-    with Progress.on_stderr(quiet=options.quiet, forced=options.progress) as progress:
-        clips = make(
-            pipeline,
-            seconds=options.seconds,
-            seed=options.seed,
-            steps=options.steps,
-            guidance=options.guidance,
-            foot_fix=options.foot_fix,
-            on_step=progress.show,
-        )
-    clips = [_finished(clip, options) for clip in clips]
-    made = time.perf_counter()
+    with Progress.on_stderr(quiet=args.quiet, forced=args.progress) as progress:
+        clips = make_clips(pipeline, progress.show)
+    clips = [_post_process(clip, args) for clip in clips]
+    generated = time.perf_counter()
     for target, clip in zip(targets, clips, strict=True):
-        writing = time.perf_counter()
-        clip.save(target, force=options.force, names=options.names)
+        write_start = time.perf_counter()
+        clip.save(target, force=args.force, names=args.names)
         record = {
             "file": str(target),
             "frames": len(clip.joints),
@@ -128,25 +204,25 @@ def _make(options: argparse.Namespace, targets: Sequence[Path], make: Callable[.
             "seed": clip.seed,
             "bundle": f"{pipeline.manifest.name} {pipeline.manifest.version}",
             "load_ms": round(1000 * (loaded - start), 1),
-            "generate_ms": round(1000 * (made - loaded), 1),
-            "write_ms": round(1000 * (time.perf_counter() - writing), 1),
+            "generate_ms": round(1000 * (generated - loaded), 1),
+            "write_ms": round(1000 * (time.perf_counter() - write_start), 1),
         }
-        _report(record, options)
+        _report(record, args)
     return 0
 
 
-def _report(record: dict[str, Any], options: argparse.Namespace) -> None:
-    if options.json:
+def _post_process(clip: Clip, args: argparse.Namespace) -> Clip:
+    """Apply --loop, --in-place and --fps: loop and travel first, the frame rate last."""
+    clip = clip.looped(foot_fix=args.foot_fix) if args.loop else clip
+    clip = clip.in_place() if args.in_place else clip
+    return clip if args.fps is None else clip.resampled(args.fps)
+
+
+def _report(record: dict[str, Any], args: argparse.Namespace) -> None:
+    if args.json:
         print(as_json(record))
-    elif not options.quiet:
+    elif not args.quiet:
         print(
             f"{record['file']}: {record['frames']} frames, {record['seconds']:g} s, seed {record['seed']}; "
             f"{record['generate_ms']:.0f} ms after {record['load_ms']:.0f} ms of loading"
         )
-
-
-def _finished(clip: Clip, options: argparse.Namespace) -> Clip:
-    """As the file wants it: loop and travel first, the frame rate last."""
-    clip = clip.looped(foot_fix=options.foot_fix) if options.loop else clip
-    clip = clip.in_place() if options.in_place else clip
-    return clip if options.fps is None else clip.resampled(options.fps)

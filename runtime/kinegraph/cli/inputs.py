@@ -1,4 +1,4 @@
-"""What the command line takes from its arguments and files."""
+"""Input of the command line: arguments, files and stdin as bundles, graphs, concepts and captions."""
 
 from __future__ import annotations
 
@@ -21,8 +21,13 @@ MAX_GRAPH_BYTES: Final = 1 << 20
 MAX_CAPTIONS_BYTES: Final = 1 << 26
 
 
-def load(bundle: Path | None, threads: int | None, parses: bool) -> MotionPipeline:
-    """The pipeline of a bundle; where a sentence will be parsed (`parses`), spaCy is imported meanwhile.
+def load_pipeline(bundle: Path | None, threads: int | None, *, parses: bool) -> MotionPipeline:
+    """Load a bundle.
+
+    Args:
+        bundle: its folder; None takes the default bundle.
+        threads: threads a model may use.
+        parses: True if a sentence will be parsed: spaCy is then imported in the background meanwhile.
 
     Raises:
         BundleError, InvalidInputError: as `MotionPipeline.load`.
@@ -35,35 +40,8 @@ def load(bundle: Path | None, threads: int | None, parses: bool) -> MotionPipeli
     return MotionPipeline.load(bundle, threads=threads)
 
 
-def level_steps(text: str) -> int | tuple[int, ...]:
-    """`15` or `15,15,20`; the argparse type of `--steps`."""
-    try:
-        numbers = tuple(int(part) for part in text.split(","))
-    except ValueError:
-        raise argparse.ArgumentTypeError(f"{text!r} is neither a number nor three, like 15,15,20") from None
-    return numbers[0] if len(numbers) == 1 else numbers
-
-
-def level_numbers(text: str) -> float | tuple[float, ...]:
-    """`2.5` or `2.5,2.5,3`; the argparse type of `--guidance`."""
-    try:
-        numbers = tuple(float(part) for part in text.split(","))
-    except ValueError:
-        raise argparse.ArgumentTypeError(f"{text!r} is neither a number nor three, like 2.5,2.5,3") from None
-    return numbers[0] if len(numbers) == 1 else numbers
-
-
-def part_seconds(text: str) -> float | list[float]:
-    """`3` or `3,2,3`; the argparse type of `--seconds` of a sequence."""
-    try:
-        numbers = [float(part) for part in text.split(",")]
-    except ValueError:
-        raise argparse.ArgumentTypeError(f"{text!r} is no length, and no list of them like 3,2,3") from None
-    return numbers[0] if len(numbers) == 1 else numbers
-
-
-def weighted(text: str) -> tuple[str, float | None]:
-    """`a person walks:0.8` -> its sentence and weight; without a number at the end there is none."""
+def split_weight(text: str) -> tuple[str, float | None]:
+    """Split `a person walks:0.8` into sentence and weight; the weight is None without a number at the end."""
     sentence, colon, number = text.rpartition(":")
     try:
         return (sentence, float(number)) if colon else (text, None)
@@ -71,25 +49,29 @@ def weighted(text: str) -> tuple[str, float | None]:
         return text, None
 
 
-def concepts(wanted: Sequence[str], unwanted: Sequence[str]) -> list[Concept]:
-    """Of `--and` and `--not`; a negation's weight is given without its sign.
+def parse_concepts(positive: Sequence[str], negated: Sequence[str]) -> list[Concept]:
+    """Make the concepts of `--and` and `--not`; the weight of a negation is written without its sign.
 
     Raises:
-        InvalidInputError: a sentence or weight that is none.
+        InvalidInputError: an invalid sentence or weight.
     """
     from kinegraph.concepts import NEGATION_WEIGHT, Concept
 
-    found = [Concept(text, 1.0 if weight is None else weight) for text, weight in map(weighted, wanted)]
-    for text, weight in map(weighted, unwanted):
-        found.append(Concept(text, NEGATION_WEIGHT if weight is None else -abs(weight)))
-    return found
+    concepts = [Concept(text, 1.0 if weight is None else weight) for text, weight in map(split_weight, positive)]
+    for text, weight in map(split_weight, negated):
+        concepts.append(Concept(text, NEGATION_WEIGHT if weight is None else -abs(weight)))
+    return concepts
 
 
-def input_graph(text: str | None, graph: str | None) -> str | SemanticGraph:
-    """The sentence, or the graph read from a file or from stdin (`-`).
+def read_text_or_graph(text: str | None, graph: str | None) -> str | SemanticGraph:
+    """Return the sentence, or read the graph.
+
+    Args:
+        text: the sentence.
+        graph: name of a JSON file, or `-` for stdin.
 
     Raises:
-        InvalidInputError: neither or both are given, or the file cannot be read.
+        InvalidInputError: neither or both are set, or the file cannot be read.
         InvalidGraphError: the file holds no graph.
     """
     if (text is None) == (graph is None):
@@ -105,26 +87,30 @@ def input_graph(text: str | None, graph: str | None) -> str | SemanticGraph:
         raise type(error)(f"{'stdin' if graph == '-' else graph}: {error}") from error
 
 
-def edited(graph: SemanticGraph, edits: Sequence[tuple[str, str]]) -> SemanticGraph:
-    """A graph after `--weight`, `--drop`, `--mask` and `--replace`, in the order typed.
+def apply_edits(graph: SemanticGraph, edits: Sequence[tuple[str, str]]) -> SemanticGraph:
+    """Apply `--weight`, `--drop`, `--mask` and `--replace` to a graph, in the order typed.
+
+    Args:
+        graph: the graph to edit.
+        edits: pairs of flag and value.
 
     Raises:
-        InvalidInputError: an edit that lacks its value.
-        InvalidGraphError: a node that is not there, or a graph that cannot be.
+        InvalidInputError: an edit lacks its value.
+        InvalidGraphError: a node does not exist, or the edited graph is invalid.
     """
     from kinegraph.edits import masked, replaced, with_weight, without
 
-    for name, text in edits:
-        if name in ("--drop", "--mask"):
-            graph = (without if name == "--drop" else masked)(graph, _node(text))
+    for flag, text in edits:
+        if flag in ("--drop", "--mask"):
+            graph = (without if flag == "--drop" else masked)(graph, _node(text))
             continue
         node, equals, value = text.rpartition("=")
         if not equals:
-            raise InvalidInputError(f"{name} {text!r}: write the part of the sentence, =, and its new value")
-        if name == "--replace":
+            raise InvalidInputError(f"{flag} {text!r}: write the part of the sentence, =, and its new value")
+        if flag == "--replace":
             graph = replaced(graph, _node(node), value)
             continue
-        graph = with_weight(graph, _node(node), _number(value, f"{name} {text!r}"))
+        graph = with_weight(graph, _node(node), _number(value, f"{flag} {text!r}"))
     return graph
 
 
@@ -135,11 +121,11 @@ def _number(text: str, where: str) -> float:
         raise InvalidInputError(f"{where}: {text!r} is no number") from None
 
 
-def take_files(output: Path, takes: int) -> list[Path]:
-    """The file, or for several takes `walk_1.bvh`, `walk_2.bvh` ...
+def take_paths(output: Path, takes: int) -> list[Path]:
+    """List the files of several takes: `walk_1.bvh`, `walk_2.bvh` ...; one take keeps the name of `output`.
 
     Raises:
-        InvalidInputError: not 1 to `limits.MAX_TAKES`.
+        InvalidInputError: `takes` is not 1 to `limits.MAX_TAKES`.
     """
     if not 1 <= takes <= MAX_TAKES:
         raise InvalidInputError(f"takes must be a whole number from 1 to {MAX_TAKES}, not {takes}")
@@ -149,53 +135,51 @@ def take_files(output: Path, takes: int) -> list[Path]:
     return [output.with_name(f"{output.stem}_{take:0{digits}}{output.suffix}") for take in range(1, takes + 1)]
 
 
-def named(name: str, text: str) -> tuple[str, str]:
-    """An edit as it was typed: its flag and its value."""
-    return name, text
-
-
 def _node(text: str) -> str | int:
-    """A node's text, or its number."""
+    """Read a node: its number, or its text."""
     return int(text) if text.isascii() and text.strip().isdigit() else text
 
 
-def check_only_jsonl(options: argparse.Namespace) -> None:
-    """Many captions take no edit, and no picture.
+def check_jsonl_alone(args: argparse.Namespace) -> None:
+    """Refuse a sentence, a graph, edits and a picture beside `--jsonl`.
 
     Raises:
-        InvalidInputError: a sentence, a graph, an edit or a picture is asked for beside `--jsonl`.
+        InvalidInputError: one of them is set.
     """
-    for name, value in (("a sentence", options.text), ("--graph", options.graph), ("--svg", options.svg)):
+    for name, value in (("a sentence", args.text), ("--graph", args.graph), ("--svg", args.svg)):
         if value is not None:
             raise InvalidInputError(f"give either --jsonl FILE or {name}")
-    if options.edits:
-        raise InvalidInputError(f"{options.edits[0][0]} edits one sentence; leave it or --jsonl out")
+    if args.edits:
+        raise InvalidInputError(f"{args.edits[0][0]} edits one sentence; leave it or --jsonl out")
 
 
-def captions(jsonl: Path) -> list[tuple[str, str]]:
-    """Captions of a file, each with its place for messages ("captions.jsonl, line 3").
+def read_captions(jsonl: Path) -> list[tuple[str, str]]:
+    """Read the captions of a file, one per line.
+
+    Returns:
+        Pairs of location, for messages ("captions.jsonl, line 3"), and caption.
 
     Raises:
         InvalidInputError: the file cannot be read, or a line holds no caption.
     """
     # Not splitlines(): that would also break captions at characters like U+2028.
     lines = _read_text(jsonl, MAX_CAPTIONS_BYTES).replace("\r\n", "\n").removesuffix("\n").split("\n")
-    places = [f"{jsonl}, line {number}" for number in range(1, len(lines) + 1)]
-    return [(place, _caption(line, place)) for place, line in zip(places, lines, strict=True)]
+    locations = [f"{jsonl}, line {number}" for number in range(1, len(lines) + 1)]
+    return [(location, _caption(line, location)) for location, line in zip(locations, lines, strict=True)]
 
 
-def _caption(line: str, place: str) -> str:
+def _caption(line: str, location: str) -> str:
     if not line.strip():
-        raise InvalidInputError(f"{place}: empty; a line is a caption or an object with the key caption")
+        raise InvalidInputError(f"{location}: empty; a line is a caption or an object with the key caption")
     if not line.lstrip().startswith("{"):
         return line
     try:
         value = json.loads(line)
     except (ValueError, RecursionError) as error:
-        raise InvalidInputError(f"{place}: not valid JSON: {error}") from error
+        raise InvalidInputError(f"{location}: not valid JSON: {error}") from error
     caption = value.get("caption")
     if not isinstance(caption, str):
-        raise InvalidInputError(f"{place}: the object needs a key caption with a text")
+        raise InvalidInputError(f"{location}: the object needs a key caption with a text")
     return caption
 
 

@@ -1,4 +1,4 @@
-"""`kinegraph parse | info | verify | bench`: look at a sentence's graph, or at a bundle."""
+"""`kinegraph parse | info | verify | bench`: show the graph of a sentence, or describe a bundle."""
 
 from __future__ import annotations
 
@@ -7,86 +7,92 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 from kinegraph.cli.console import as_json
-from kinegraph.cli.inputs import captions, check_only_jsonl, edited, input_graph, load
+from kinegraph.cli.inputs import apply_edits, check_jsonl_alone, load_pipeline, read_captions, read_text_or_graph
 from kinegraph.errors import InvalidInputError, KinegraphError
 
-# Everything that loads numpy or onnxruntime is imported where it is used: `--help` must be instant.
+# Modules that load numpy or onnxruntime are imported where they are used: `--help` must be instant.
 if TYPE_CHECKING:
     from kinegraph.bundle.reader import Bundle
     from kinegraph.bundle.verify import VerifyReport
 
 
-def parse(options: argparse.Namespace) -> int:
-    if options.jsonl is None:
-        return _parse_one(options)
-    check_only_jsonl(options)
-    lines = captions(options.jsonl)
-    pipeline = load(options.bundle, None, True)
-    for place, caption in lines:
+def parse(args: argparse.Namespace) -> int:
+    """Run `kinegraph parse`."""
+    if args.jsonl is None:
+        return _parse_one(args)
+    check_jsonl_alone(args)
+    captions = read_captions(args.jsonl)
+    pipeline = load_pipeline(args.bundle, None, parses=True)
+    for location, caption in captions:
         try:
             graph = pipeline.parse(caption)
         except KinegraphError as error:
-            # The type stays: only the message grows by the place.
-            raise type(error)(f"{place}: {error}") from error
+            # The type stays; the message gains the location.
+            raise type(error)(f"{location}: {error}") from error
         print(as_json(graph.to_dict()))
     return 0
 
 
-def _parse_one(options: argparse.Namespace) -> int:
+def _parse_one(args: argparse.Namespace) -> int:
     from kinegraph.files import check_target, write_atomically
 
-    if options.svg is not None:
-        check_target(options.svg, options.force, (".svg",))
-    wish = input_graph(options.text, options.graph)
-    graph = edited(load(options.bundle, None, True).parse(wish) if isinstance(wish, str) else wish, options.edits)
-    if options.svg is None:
-        print(as_json(graph.to_dict(), pretty=not options.json))
+    if args.svg is not None:
+        check_target(args.svg, args.force, (".svg",))
+    graph = read_text_or_graph(args.text, args.graph)
+    if isinstance(graph, str):
+        graph = load_pipeline(args.bundle, None, parses=True).parse(graph)
+    graph = apply_edits(graph, args.edits)
+    if args.svg is None:
+        print(as_json(graph.to_dict(), pretty=not args.json))
     else:
         from kinegraph.formats.graph_svg import graph_svg
 
-        write_atomically(options.svg, graph_svg(graph).encode(), force=options.force)
-        print(as_json({"file": str(options.svg)}) if options.json else options.svg)
+        write_atomically(args.svg, graph_svg(graph).encode(), force=args.force)
+        print(as_json({"file": str(args.svg)}) if args.json else args.svg)
     return 0
 
 
-def info(options: argparse.Namespace) -> int:
+def info(args: argparse.Namespace) -> int:
+    """Run `kinegraph info`."""
     from kinegraph.bundle.reader import read_bundle
 
-    record = info_record(read_bundle(options.bundle))
-    print(as_json(record) if options.json else info_text(record))
+    record = info_record(read_bundle(args.bundle))
+    print(as_json(record) if args.json else info_text(record))
     return 0
 
 
-def verify(options: argparse.Namespace) -> int:
+def verify(args: argparse.Namespace) -> int:
+    """Run `kinegraph verify`."""
     from kinegraph.bundle.strict_json import to_plain
     from kinegraph.bundle.verify import verify_bundle
 
-    report = verify_bundle(options.bundle)
-    if options.json:
+    report = verify_bundle(args.bundle)
+    if args.json:
         print(as_json({**to_plain(report), "path": str(report.path)}))
     else:
         print(verify_text(report))
     return 0
 
 
-def run_bench(options: argparse.Namespace) -> int:
-    from kinegraph.bench import bench, table
+def run_bench(args: argparse.Namespace) -> int:
+    """Run `kinegraph bench`."""
+    from kinegraph.bench import bench, text_table
     from kinegraph.bundle.strict_json import to_plain
     from kinegraph.files import check_target, write_atomically
 
-    if options.repeats < 1:
-        raise InvalidInputError(f"repeats must be 1 or more, not {options.repeats}")
-    if options.json is not None:
-        check_target(options.json, True, (".json",))
-    report = bench(options.bundle, seconds=options.seconds, repeats=options.repeats, threads=options.threads)
-    if options.json is not None:
-        write_atomically(options.json, (as_json(to_plain(report), pretty=True) + "\n").encode())
-    print(table(report))
+    if args.repeats < 1:
+        raise InvalidInputError(f"repeats must be 1 or more, not {args.repeats}")
+    if args.json is not None:
+        check_target(args.json, True, (".json",))
+    report = bench(args.bundle, seconds=args.seconds, repeats=args.repeats, threads=args.threads)
+    if args.json is not None:
+        write_atomically(args.json, (as_json(to_plain(report), pretty=True) + "\n").encode())
+    print(text_table(report))
     return 0
 
 
 def info_record(bundle: Bundle) -> dict[str, Any]:
-    """What `info` tells, as plain values."""
+    """Collect the facts of `info` as plain JSON values."""
     from kinegraph.bundle.strict_json import to_plain
 
     manifest = to_plain(bundle.manifest)
@@ -112,7 +118,7 @@ def info_record(bundle: Bundle) -> dict[str, Any]:
 
 
 def info_text(record: Mapping[str, Any]) -> str:
-    """The table of `kinegraph info`."""
+    """Format the table of `kinegraph info`; `record` is from `info_record`."""
     sizes = record["bytes"]
     shortest, longest = record["seconds"]
     defaults = record["defaults"]
@@ -138,7 +144,7 @@ def info_text(record: Mapping[str, Any]) -> str:
 
 
 def verify_text(report: VerifyReport) -> str:
-    """The table of `kinegraph verify`; there is one only if all is well."""
+    """Format the table of `kinegraph verify`, which exists only if everything is valid."""
     lines = [f"{report.name} {report.version}", str(report.path)]
     for name, size in report.files.items():
         operators = report.operators.get(name)

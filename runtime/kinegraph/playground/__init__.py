@@ -1,11 +1,11 @@
-"""`kinegraph play`: a page on loopback that makes clips while one looks on. Needs the extra `play`.
+"""`kinegraph play`: a page on loopback that generates clips while one watches. Needs the extra `play`.
 
-    guard.py    who may ask: this machine's own pages, with requests of bounded size
-    app.py      what may be asked: parse, edit, a clip as a stream of events, a file of it
-    wishes.py   a request's JSON as typed wishes
-    making.py   a wish as events, clip and latencies
-    turns.py    whose turn it is: one clip at a time, tab by tab
-    server.py   the socket, the browser, the end
+    middleware.py   admits requests of this machine's own pages, of bounded size
+    app.py          the page and four calls: parse, edit, a clip as a stream of events, a file of it
+    schemas.py      the JSON of a request as typed, checked values
+    jobs.py         one clip: its events, the result, and the time of each stage
+    fair_queue.py   one clip at a time, tab by tab
+    server.py       the socket, the server, the browser
 
-The server keeps nothing between requests: the same wish gives the same clip, and a file is made anew from its wish.
+The server keeps nothing between requests: the same request gives the same clip, and a file is generated anew.
 """

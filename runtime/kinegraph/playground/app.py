@@ -1,4 +1,4 @@
-"""What may be asked: the page, and four calls that keep no state."""
+"""The web application of the playground: the page, and four calls that keep no state."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from kinegraph.pipeline import MotionPipeline
 from kinegraph.playground.fair_queue import FairQueue, TooBusyError
 from kinegraph.playground.jobs import GenerationJob, generate_clip
 from kinegraph.playground.middleware import LoopbackOnlyMiddleware
-from kinegraph.playground.schemas import ClipRequest, caption_of, clip_request, edited_graph, parse_json
+from kinegraph.playground.schemas import ClipRequest, apply_edit, parse_caption, parse_clip_request, parse_json
 
 T = TypeVar("T")
 
@@ -34,97 +34,105 @@ FILES: Final = {
     ".npz": "application/zip",
     ".html": "text/html; charset=utf-8",
 }
-"""What a clip may be fetched as."""
+"""Suffix -> media type of the files in which a clip can be fetched."""
 
 CONNECT: Final = "'self'"
+"""Where the page may send requests, for its content security policy."""
 EXAMPLE: Final = "a person walks forward and waves the right hand"
 
 
 class Playground:
-    """The handlers and what they share: the pipeline, and the queues in front of it."""
+    """Handlers of the page and the calls, with the pipeline and the queues in front of it."""
 
     def __init__(self, pipeline: MotionPipeline) -> None:
         self._pipeline = pipeline
-        self._clips, self._parses = FairQueue(), FairQueue()
-        self._made: set[asyncio.Task[None]] = set()
-        self._page = render_page("kinegraph", {"play": _facts(pipeline)}, CONNECT)
+        self._clip_queue, self._parse_queue = FairQueue(), FairQueue()
+        self._jobs: set[asyncio.Task[None]] = set()
+        self._page = render_page("kinegraph", {"play": _page_facts(pipeline)}, CONNECT)
 
     def stop(self) -> None:
-        """End what is being made, at the end of the server."""
-        for task in self._made:
-            task.cancel()
+        """Cancel all running jobs, at the end of the server."""
+        for job in self._jobs:
+            job.cancel()
 
     async def page(self, request: Request) -> Response:
-        own = {"Content-Security-Policy": f"{content_security_policy(CONNECT)}; frame-ancestors 'none'"}
-        return Response(self._page, media_type="text/html; charset=utf-8", headers=own)
+        """Answer with the page."""
+        policy = f"{content_security_policy(CONNECT)}; frame-ancestors 'none'"
+        return Response(self._page, media_type="text/html; charset=utf-8", headers={"Content-Security-Policy": policy})
 
     async def parse(self, request: Request) -> Response:
-        """{text} -> its graph."""
-        text = caption_of(parse_json(await request.body()))
-        async with self._parses.turn(_tab(request)):
+        """Parse {text} and answer with its graph."""
+        text = parse_caption(parse_json(await request.body()))
+        async with self._parse_queue.turn(_tab(request)):
             graph = await asyncio.to_thread(self._pipeline.parse, text)
         return JSONResponse(graph.to_dict())
 
     async def edit(self, request: Request) -> Response:
-        """{graph, edit} -> the graph after the edit."""
-        return JSONResponse(edited_graph(parse_json(await request.body())).to_dict())
+        """Apply the edit of {graph, edit} and answer with the graph."""
+        return JSONResponse(apply_edit(parse_json(await request.body())).to_dict())
 
     async def clip(self, request: Request) -> Response:
-        """A wish -> events as JSON lines: queued, graph, step, level, clip or error; a reader who leaves stops it."""
-        wish, tab = clip_request(parse_json(await request.body())), _tab(request)
-        self._clips.check_room(tab)
-        return StreamingResponse(self._events(wish, tab), media_type="application/x-ndjson")
+        """Generate a clip and answer with events as JSON lines: queued, graph, step, level, and clip or error.
+
+        A client that disconnects stops the generation.
+        """
+        clip_request, tab = parse_clip_request(parse_json(await request.body())), _tab(request)
+        self._clip_queue.check_room(tab)
+        return StreamingResponse(self._events(clip_request, tab), media_type="application/x-ndjson")
 
     async def file(self, request: Request) -> Response:
-        """{wish, suffix, names} -> the file, as the command line writes it."""
-        asked = parse_json(await request.body())
-        suffix, names = asked.get("suffix"), asked.get("names", "smpl")
+        """Generate the clip of {wish, suffix, names} and answer with the file, as the command line writes it."""
+        record = parse_json(await request.body())
+        suffix, names = record.get("suffix"), record.get("names", "smpl")
         if not isinstance(suffix, str) or suffix not in FILES:
             raise InvalidInputError(f"suffix must be one of {', '.join(FILES)}, not {str(suffix)[:40]!r}")
-        if not isinstance(asked.get("wish"), dict):
+        if not isinstance(record.get("wish"), dict):
             raise InvalidInputError("wish must be a JSON object")
-        wish = clip_request(asked["wish"])
-        if "seed" not in wish.sampling:
+        clip_request = parse_clip_request(record["wish"])
+        if clip_request.seed is None:
             raise InvalidInputError("a file needs the seed of its clip: without one it would be another clip")
 
-        def made(stop: threading.Event) -> bytes:
-            return encode(generate_clip(self._pipeline, wish, lambda _: not stop.is_set()), suffix, str(names))
+        def make_file(stop: threading.Event) -> bytes:
+            clip = generate_clip(self._pipeline, clip_request, lambda _: not stop.is_set())
+            return encode(clip, suffix, str(names))
 
-        async with self._clips.turn(_tab(request)):
-            data = await _in_thread(made)
+        async with self._clip_queue.turn(_tab(request)):
+            data = await _run_in_thread(make_file)
         return Response(data, media_type=FILES[suffix])
 
-    async def _events(self, wish: ClipRequest, tab: str) -> AsyncIterator[str]:
+    async def _events(self, clip_request: ClipRequest, tab: str) -> AsyncIterator[str]:
+        """Run a job and yield its events as lines; closing the iterator cancels the job."""
         events: asyncio.Queue[dict[str, Any] | None] = asyncio.Queue()
-        task = asyncio.create_task(self._make(wish, tab, events))
-        self._made.add(task)
-        task.add_done_callback(self._made.discard)
+        job = asyncio.create_task(self._run_job(clip_request, tab, events))
+        self._jobs.add(job)
+        job.add_done_callback(self._jobs.discard)
         try:
             while (event := await events.get()) is not None:
                 yield json.dumps(event, ensure_ascii=False) + "\n"
         finally:
-            task.cancel()
+            job.cancel()
 
-    async def _make(self, wish: ClipRequest, tab: str, events: asyncio.Queue[dict[str, Any] | None]) -> None:
+    async def _run_job(self, clip_request: ClipRequest, tab: str, events: asyncio.Queue[dict[str, Any] | None]) -> None:
+        """Wait for a turn and generate the clip; None in `events` marks the end."""
         loop = asyncio.get_running_loop()
 
-        def tell(event: dict[str, Any] | None) -> None:
+        def send(event: dict[str, Any] | None) -> None:
             loop.call_soon_threadsafe(events.put_nowait, event)
 
-        events.put_nowait({"event": "queued", "ahead": self._clips.ahead(tab)})
+        events.put_nowait({"event": "queued", "ahead": self._clip_queue.ahead(tab)})
         try:
-            async with self._clips.turn(tab):
-                await _in_thread(lambda stop: GenerationJob(self._pipeline, wish, tell, stop).run())
+            async with self._clip_queue.turn(tab):
+                await _run_in_thread(lambda stop: GenerationJob(self._pipeline, clip_request, send, stop).run())
         except KinegraphError as error:
-            tell({"event": "error", "message": str(error)})
+            send({"event": "error", "message": str(error)})
         finally:
-            tell(None)  # behind the events of the thread, which come the same way
+            send(None)  # the same way as the events of the thread, and so behind them
 
 
-async def _in_thread(make: Callable[[threading.Event], T]) -> T:
-    """Run `generate_clip(stop)` in a thread. Cancelled, it sets `stop` and waits until the thread has heeded it."""
+async def _run_in_thread(work: Callable[[threading.Event], T]) -> T:
+    """Run `work(stop)` in a thread; on cancellation set `stop` and wait until the thread has ended."""
     stop = threading.Event()
-    task = asyncio.ensure_future(asyncio.to_thread(make, stop))
+    task = asyncio.ensure_future(asyncio.to_thread(work, stop))
     try:
         return await asyncio.shield(task)
     except asyncio.CancelledError:
@@ -134,13 +142,13 @@ async def _in_thread(make: Callable[[threading.Event], T]) -> T:
 
 
 def _tab(request: Request) -> str:
-    """Which tab asks: a name it gives itself, which counts for nothing but its turn."""
+    """Return the name that a tab of the browser gives itself; it only decides whose turn comes next."""
     name = request.headers.get("kinegraph-tab", "")
     return name if re.fullmatch(r"[\w-]{1,40}", name) else ""
 
 
-def _facts(pipeline: MotionPipeline) -> dict[str, Any]:
-    """What the page must know of the bundle."""
+def _page_facts(pipeline: MotionPipeline) -> dict[str, Any]:
+    """Collect the facts about the bundle that the page's script reads."""
     manifest = pipeline.manifest
     return {
         "bundle": f"{manifest.name} {manifest.version}",
@@ -156,22 +164,23 @@ def _facts(pipeline: MotionPipeline) -> dict[str, Any]:
     }
 
 
-async def _refused(request: Request, error: Exception) -> Response:
-    """Errors of ours as a status and one sentence; anything else ends as a bare 500."""
+async def _answer_error(request: Request, error: Exception) -> Response:
+    """Answer a KinegraphError with a status and one sentence; any other exception ends as a bare 500."""
     status = 503 if isinstance(error, TooBusyError) else 400 if isinstance(error, InvalidInputError) else 500
     headers = {"Retry-After": "2"} if status == 503 else None
     return JSONResponse({"error": " ".join(str(error).split())}, status, headers)
 
 
-async def _unknown(request: Request, error: Exception) -> Response:
+async def _answer_unknown(request: Request, error: Exception) -> Response:
+    """Answer a wrong path or method."""
     status = getattr(error, "status_code", 500)
     return JSONResponse({"error": {404: "there is no such page", 405: "not that way"}.get(status, "failed")}, status)
 
 
-def application(own: Playground, port: int) -> LoopbackOnlyMiddleware:
-    """The ASGI application, behind its guard."""
-    routes = [Route("/", own.page)]
+def application(playground: Playground, port: int) -> LoopbackOnlyMiddleware:
+    """Build the ASGI application of a playground, behind its middleware."""
+    routes = [Route("/", playground.page)]
     for name in ("parse", "edit", "clip", "file"):
-        routes.append(Route(f"/api/{name}", getattr(own, name), methods=["POST"]))
-    handlers: dict[Any, Any] = {KinegraphError: _refused, 404: _unknown, 405: _unknown}
+        routes.append(Route(f"/api/{name}", getattr(playground, name), methods=["POST"]))
+    handlers: dict[Any, Any] = {KinegraphError: _answer_error, 404: _answer_unknown, 405: _answer_unknown}
     return LoopbackOnlyMiddleware(Starlette(routes=routes, exception_handlers=handlers), port)

@@ -1,4 +1,4 @@
-"""Whose turn it is: a bounded queue that serves its tabs in rotation, so that a busy one starves nobody."""
+"""A bounded queue that serves the tabs of the browser in rotation, so that a busy tab starves no other."""
 
 from __future__ import annotations
 
@@ -11,8 +11,9 @@ from typing import Final
 from kinegraph.errors import KinegraphError
 
 MAX_WAITING: Final = 16
-"""Requests of all tabs together."""
+"""Waiting requests of all tabs together."""
 MAX_PER_TAB: Final = 4
+"""Waiting requests of one tab."""
 
 
 class TooBusyError(KinegraphError):
@@ -20,33 +21,43 @@ class TooBusyError(KinegraphError):
 
 
 class FairQueue:
-    """One turn at a time. Belongs to one event loop; nothing here is shared between threads."""
+    """Round-robin queue in which one request at a time has its turn.
 
-    def __init__(self, most: int = MAX_WAITING, per_tab: int = MAX_PER_TAB) -> None:
-        self._most, self._per_tab = most, per_tab
+    It belongs to one event loop; threads must not share it.
+    """
+
+    def __init__(self, max_waiting: int = MAX_WAITING, max_per_tab: int = MAX_PER_TAB) -> None:
+        self._max_waiting, self._max_per_tab = max_waiting, max_per_tab
         self._waiting: OrderedDict[str, deque[asyncio.Future[None]]] = OrderedDict()
-        """Tabs in the order in which they are served next; none has an empty queue."""
-        self._taken = False
+        """Tab -> its waiting requests, never empty; the first tab is served next."""
+        self._busy = False
+        """True while a request has its turn."""
 
     def __len__(self) -> int:
+        """Count the waiting requests."""
         return sum(map(len, self._waiting.values()))
 
     def ahead(self, tab: str) -> int:
-        """Turns before the next one of a tab that asks now, the present one included."""
-        own = len(self._waiting.get(tab, ()))
-        return self._taken + sum(min(len(queue), own + 1) for name, queue in self._waiting.items() if name != tab) + own
+        """Count the turns before that of a new request of this tab, including the present turn."""
+        waiting = len(self._waiting.get(tab, ()))
+        others = sum(min(len(queue), waiting + 1) for name, queue in self._waiting.items() if name != tab)
+        return self._busy + others + waiting
 
     def check_room(self, tab: str) -> None:
-        """Raise TooBusyError where a request of this tab could not even wait."""
-        if len(self) >= self._most or len(self._waiting.get(tab, ())) >= self._per_tab:
+        """Refuse a request of this tab if it could not even wait.
+
+        Raises:
+            TooBusyError: too many requests are waiting, in total or in this tab.
+        """
+        if len(self) >= self._max_waiting or len(self._waiting.get(tab, ())) >= self._max_per_tab:
             raise TooBusyError(f"{len(self)} requests are waiting already; try again in a moment")
 
     @asynccontextmanager
     async def turn(self, tab: str) -> AsyncIterator[None]:
-        """Wait for a turn and keep it; whoever is cancelled while waiting leaves the queue.
+        """Wait for a turn and hold it for the block; a cancelled request leaves the queue.
 
         Raises:
-            TooBusyError: too many wait already, all in all or in this tab.
+            TooBusyError: as in `check_room`.
         """
         await self._wait(tab)
         try:
@@ -55,34 +66,34 @@ class FairQueue:
             self._next()
 
     async def _wait(self, tab: str) -> None:
-        if not self._taken:
-            self._taken = True
+        if not self._busy:
+            self._busy = True
             return
         self.check_room(tab)
-        called = asyncio.get_running_loop().create_future()
-        self._waiting.setdefault(tab, deque()).append(called)
+        turn = asyncio.get_running_loop().create_future()
+        self._waiting.setdefault(tab, deque()).append(turn)
         try:
-            await called
+            await turn
         except asyncio.CancelledError:
-            if called.done() and not called.cancelled():
-                self._next()  # the turn had come, and passes on
+            if turn.done() and not turn.cancelled():
+                self._next()  # the turn had come already: pass it on
             else:
-                self._leave(tab, called)
+                self._leave(tab, turn)
             raise
 
     def _next(self) -> None:
-        """Give the turn to the first tab, and put that tab behind all others."""
+        """Give the turn to the first tab, and move that tab behind all others."""
         if not self._waiting:
-            self._taken = False
+            self._busy = False
             return
         tab, queue = self._waiting.popitem(last=False)
-        called = queue.popleft()
+        turn = queue.popleft()
         if queue:
             self._waiting[tab] = queue
-        called.set_result(None)
+        turn.set_result(None)
 
-    def _leave(self, tab: str, called: asyncio.Future[None]) -> None:
+    def _leave(self, tab: str, turn: asyncio.Future[None]) -> None:
         queue = self._waiting[tab]
-        queue.remove(called)
+        queue.remove(turn)
         if not queue:
             del self._waiting[tab]

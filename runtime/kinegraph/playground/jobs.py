@@ -1,4 +1,4 @@
-"""A wish made: events on the way, the clip, and how long each stage took. Runs in a thread of its own."""
+"""Generation of one requested clip, in a thread of its own: events on the way, the clip, and the time of each stage."""
 
 from __future__ import annotations
 
@@ -15,78 +15,102 @@ from kinegraph.graph import SemanticGraph
 from kinegraph.pipeline import MotionPipeline, OnLevel
 from kinegraph.playground.schemas import ClipRequest
 
-Tell = Callable[[dict[str, Any]], None]
-"""Takes one event; called from the thread that makes the clip."""
+SendEvent = Callable[[dict[str, Any]], None]
+"""Takes one event; called from the thread that generates the clip."""
 
 STEP_PAUSE: Final = 0.04
-"""Seconds between two events of steps: more often nobody sees them."""
+"""Shortest time between two step events, seconds; nobody would see them more often."""
 
 STAGES: Final = {"motion": "text and motion", "action": "action", "specific": "specific"}
-"""Level -> what the time until its last step went into: sentences are encoded before the first."""
+"""Level -> stage that ends with its last step; the text is encoded before the first step."""
 
 
 def generate_clip(
-    pipeline: MotionPipeline, wish: ClipRequest, on_step: OnStep, on_level: OnLevel | None = None
+    pipeline: MotionPipeline, request: ClipRequest, on_step: OnStep, on_level: OnLevel | None = None
 ) -> Clip:
-    """The clip of a wish: what the command line makes of the same arguments.
+    """Generate the clip of a request, equal to that of the command line for the same arguments.
 
     Raises:
-        KinegraphError: as `MotionPipeline.generate` and `compose`.
+        KinegraphError: as in `MotionPipeline.generate` and `compose`.
     """
-    if wish.concepts is not None:
-        return pipeline.compose(wish.concepts, on_step=on_step, on_level=on_level, **wish.composing, **wish.sampling)
-    return pipeline.generate(wish.text or "", on_step=on_step, on_level=on_level, **wish.sampling)
+    if request.concepts is None:
+        return pipeline.generate(
+            request.text or "",
+            seconds=request.seconds,
+            seed=request.seed,
+            steps=request.steps,
+            guidance=request.guidance,
+            foot_fix=request.foot_fix,
+            on_step=on_step,
+            on_level=on_level,
+        )
+    return pipeline.compose(
+        request.concepts,
+        method=request.method,
+        text=request.text,
+        lambdas=request.lambdas,
+        agd=request.agd,
+        seconds=request.seconds,
+        seed=request.seed,
+        steps=request.steps,
+        guidance=request.guidance,
+        foot_fix=request.foot_fix,
+        on_step=on_step,
+        on_level=on_level,
+    )
 
 
 @dataclass
 class GenerationJob:
-    """One clip in the making, told step by step."""
+    """Generation of one clip that reports each step, level and stage as an event."""
 
     pipeline: MotionPipeline
-    wish: ClipRequest
-    tell: Tell
+    request: ClipRequest
+    send: SendEvent
     stop: threading.Event
-    """Set to give up; heeded after every diffusion step."""
+    """Set it to give up; checked after every diffusion step."""
     stages: dict[str, float] = field(default_factory=dict)
     """Stage -> milliseconds."""
-    _since: float = 0.0
-    _told: float = 0.0
+    _stage_start: float = 0.0
+    _last_step_event: float = 0.0
 
     def run(self) -> None:
-        """Make it; the last event holds the clip.
+        """Generate the clip; the last event holds it.
 
         Raises:
-            KinegraphError: as `generate_clip`; `Cancelled` after `stop`.
+            KinegraphError: as in `generate_clip`; `Cancelled` after `stop`.
         """
-        self._since = time.perf_counter()
-        wish = self.wish
-        if wish.concepts is None and not isinstance(wish.text, SemanticGraph):
-            graph = self.pipeline.parse(wish.text or "")
-            self._lap("parser")
-            self.tell({"event": "graph", "graph": graph.to_dict()})
-            wish = replace(wish, text=graph)
-        clip = generate_clip(self.pipeline, wish, self._step, self._level)
-        self._lap("decoder, feet")
-        shown = clip_record(clip)
-        self._lap("body")
-        self.tell({"event": "clip", "clip": shown, "stages": {name: round(ms, 1) for name, ms in self.stages.items()}})
+        self._stage_start = time.perf_counter()
+        request = self.request
+        if request.concepts is None and not isinstance(request.text, SemanticGraph):
+            graph = self.pipeline.parse(request.text or "")
+            self._end_stage("parser")
+            self.send({"event": "graph", "graph": graph.to_dict()})
+            request = replace(request, text=graph)
+        clip = generate_clip(self.pipeline, request, self._on_step, self._on_level)
+        self._end_stage("decoder, feet")
+        record = clip_record(clip)
+        self._end_stage("body")
+        stages = {name: round(milliseconds, 1) for name, milliseconds in self.stages.items()}
+        self.send({"event": "clip", "clip": record, "stages": stages})
 
-    def _step(self, info: StepInfo) -> bool:
-        last = info.step == info.steps
-        if last:
-            self._lap(STAGES[info.level])
+    def _on_step(self, info: StepInfo) -> bool:
+        is_last = info.step == info.steps
+        if is_last:
+            self._end_stage(STAGES[info.level])
         now = time.perf_counter()
-        if last or now - self._told > STEP_PAUSE:
-            self._told = now
+        if is_last or now - self._last_step_event > STEP_PAUSE:
+            self._last_step_event = now
             keys = ("level", "step", "steps", "done", "total")
-            self.tell({"event": "step", **{key: getattr(info, key) for key in keys}})
+            self.send({"event": "step", **{key: getattr(info, key) for key in keys}})
         return not self.stop.is_set()
 
-    def _level(self, level: str, clip: Clip) -> None:
-        self.tell({"event": "level", "level": level, "clip": {**clip_record(clip), "level": level}})
-        self._lap("previews")
+    def _on_level(self, level: str, clip: Clip) -> None:
+        self.send({"event": "level", "level": level, "clip": {**clip_record(clip), "level": level}})
+        self._end_stage("previews")
 
-    def _lap(self, stage: str) -> None:
+    def _end_stage(self, stage: str) -> None:
+        """Add the time since the last stage ended to this one."""
         now = time.perf_counter()
-        self.stages[stage] = self.stages.get(stage, 0.0) + 1000 * (now - self._since)
-        self._since = now
+        self.stages[stage] = self.stages.get(stage, 0.0) + 1000 * (now - self._stage_start)
+        self._stage_start = now

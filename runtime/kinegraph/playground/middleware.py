@@ -1,7 +1,7 @@
-"""Who may ask, and how much: an ASGI layer in front of the application.
+"""ASGI middleware that admits only requests of this machine's own pages, of bounded size.
 
-A page from elsewhere can make a browser send requests to this machine. It cannot send them with our Host (DNS
-rebinding), nor with our Origin, nor as JSON without asking first, which nothing here answers.
+A page of another site can make a browser send requests to this machine. It cannot send them with our Host, even by
+DNS rebinding, nor with our Origin, nor as JSON without a CORS preflight request, which nothing here answers.
 """
 
 from __future__ import annotations
@@ -16,11 +16,11 @@ Receive = Callable[[], Awaitable[Message]]
 Send = Callable[[Message], Awaitable[None]]
 App = Callable[[MutableMapping[str, Any], Receive, Send], Awaitable[None]]
 
-NAMES: Final = ("127.0.0.1", "localhost", "[::1]")
+LOOPBACK_NAMES: Final = ("127.0.0.1", "localhost", "[::1]")
 MAX_BODY: Final = 64 * 1024
-"""Bytes: a graph of 32 nodes or 8 concepts of 512 characters fit several times."""
+"""Bytes of a request body; a graph of 32 nodes or 8 concepts of 512 characters fit several times."""
 
-HEADERS: Final = (
+RESPONSE_HEADERS: Final = (
     (b"x-content-type-options", b"nosniff"),
     (b"x-frame-options", b"DENY"),
     (b"referrer-policy", b"no-referrer"),
@@ -31,11 +31,11 @@ HEADERS: Final = (
 
 
 class LoopbackOnlyMiddleware:
-    """Answers what must not reach the application itself."""
+    """Middleware that refuses requests from elsewhere, and adds security headers to every response."""
 
     def __init__(self, app: App, port: int) -> None:
         self._app = app
-        self._hosts = frozenset(f"{name}:{port}" for name in NAMES)
+        self._hosts = frozenset(f"{name}:{port}" for name in LOOPBACK_NAMES)
         self._port = port
 
     async def __call__(self, scope: MutableMapping[str, Any], receive: Receive, send: Send) -> None:
@@ -46,7 +46,7 @@ class LoopbackOnlyMiddleware:
 
         async def send_with_headers(message: Message) -> None:
             if message["type"] == "http.response.start":
-                message["headers"] = [*message["headers"], *HEADERS]
+                message["headers"] = [*message["headers"], *RESPONSE_HEADERS]
             await send(message)
 
         refusal = self._refusal(scope["method"], headers)
@@ -56,7 +56,7 @@ class LoopbackOnlyMiddleware:
         await self._app(scope, receive, send_with_headers)
 
     def _refusal(self, method: str, headers: dict[bytes, bytes]) -> tuple[int, str] | None:
-        """Status and message, or None for a request that may pass."""
+        """Return status and message of a refusal; None admits the request."""
         host = headers.get(b"host", b"").decode("latin-1").lower()
         if host not in self._hosts:
             return 421, f"this server answers as 127.0.0.1:{self._port} only"

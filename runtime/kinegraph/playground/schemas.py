@@ -1,41 +1,54 @@
-"""A request's JSON as what the pipeline takes; everything else is an error that says what was wrong."""
+"""Requests of the playground: their JSON as typed values, or an error that says what is wrong.
+
+In the JSON of `/api/file` a clip request is called "wish".
+"""
 
 from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass, field
-from typing import Any, Final
+from dataclasses import dataclass
+from typing import Any, Final, TypeVar
 
-from kinegraph.cli.inputs import level_numbers, level_steps
 from kinegraph.concepts import Concept
 from kinegraph.edits import masked, replaced, with_action, with_argument, without
 from kinegraph.errors import InvalidInputError
 from kinegraph.graph import SemanticGraph
+from kinegraph.options import Guidance, Steps, parse_numbers
 from kinegraph.text.parser import check_caption
 
-_SAMPLING: Final = frozenset(("seconds", "seed", "steps", "guidance", "foot_fix"))
-_COMPOSING: Final = frozenset(("method", "lambdas", "agd"))
+N = TypeVar("N", int, float)
+
+_SAMPLING_KEYS: Final = frozenset(("seconds", "seed", "steps", "guidance", "foot_fix"))
+_COMPOSITION_KEYS: Final = frozenset(("method", "lambdas", "agd"))
 
 
 @dataclass(frozen=True)
 class ClipRequest:
-    """One clip to be made."""
+    """Request for one clip: of a sentence or a graph, or of concepts.
+
+    Options hold what the JSON says: `MotionPipeline.generate` and `compose` check them.
+    """
 
     text: str | SemanticGraph | None = None
-    """A sentence or its graph; None for concepts."""
+    """Sentence or graph; for concepts their joint sentence, None for the default one."""
     concepts: tuple[Concept, ...] | None = None
-    composing: Mapping[str, Any] = field(default_factory=dict)
-    """Those of method, text, lambdas and agd that are given; `MotionPipeline.compose` checks them."""
-    sampling: Mapping[str, Any] = field(default_factory=dict)
-    """Those of seconds, seed, steps, guidance and foot_fix that are given; `MotionPipeline.generate` checks them."""
+    """Concepts to compose; None for one sentence."""
+    method: str = "fused"
+    lambdas: tuple[float, float, float] | None = None
+    agd: tuple[float, float] | None = None
+    seconds: float | None = None
+    seed: int | None = None
+    steps: Steps | None = None
+    guidance: Guidance | None = None
+    foot_fix: bool = True
 
 
 def parse_json(data: bytes) -> dict[str, Any]:
-    """The object of a request.
+    """Parse the body of a request.
 
     Raises:
-        InvalidInputError: not UTF-8, not JSON, or no object.
+        InvalidInputError: not UTF-8, not JSON, or not an object.
     """
     try:
         value = json.loads(data.decode("utf-8"))
@@ -46,49 +59,70 @@ def parse_json(data: bytes) -> dict[str, Any]:
     return value
 
 
-def caption_of(request: Mapping[str, Any]) -> str:
-    """The sentence of a request to parse."""
-    _known(request, {"text"})
-    text = request.get("text")
+def parse_caption(record: Mapping[str, Any]) -> str:
+    """Read the sentence of a request {text}.
+
+    Raises:
+        InvalidInputError: unknown keys, or an invalid sentence.
+    """
+    _check_keys(record, {"text"})
+    text = record.get("text")
     check_caption(text)
     return str(text)
 
 
-def clip_request(request: Mapping[str, Any]) -> ClipRequest:
-    """The wish of a request for a clip. Beside concepts, `text` is their joint sentence.
+def parse_clip_request(record: Mapping[str, Any]) -> ClipRequest:
+    """Read a request for a clip.
+
+    Args:
+        record: one of {text}, {graph} and {concepts}, and options. Beside a graph, `text` is ignored; beside
+            concepts, it is their joint sentence.
 
     Raises:
-        InvalidInputError: unknown keys, or values that cannot be.
+        InvalidInputError: unknown keys, or invalid values.
     """
-    _known(request, {"text", "graph", "concepts", *_COMPOSING, *_SAMPLING})
-    sampling = {name: _option(name, request[name]) for name in _SAMPLING & set(request)}
-    if "concepts" in request:
-        if "graph" in request:
+    _check_keys(record, {"text", "graph", "concepts", *_COMPOSITION_KEYS, *_SAMPLING_KEYS})
+    concepts: tuple[Concept, ...] | None = None
+    if "concepts" in record:
+        if "graph" in record:
             raise InvalidInputError("give either concepts or the graph of a sentence")
-        composing = {name: _option(name, request[name]) for name in (_COMPOSING | {"text"}) & set(request)}
-        return ClipRequest(concepts=_concepts(request["concepts"]), composing=composing, sampling=sampling)
-    if alone := sorted(_COMPOSING & set(request)):
-        raise InvalidInputError(f"{alone[0]} is for concepts")
-    if "graph" in request:
-        return ClipRequest(SemanticGraph.from_dict(request["graph"]), sampling=sampling)
-    return ClipRequest(caption_of({"text": request.get("text")}), sampling=sampling)
+        text, concepts = record.get("text"), _concepts(record["concepts"])
+    elif misplaced := sorted(_COMPOSITION_KEYS & set(record)):
+        raise InvalidInputError(f"{misplaced[0]} is for concepts")
+    elif "graph" in record:
+        text = SemanticGraph.from_dict(record["graph"])
+    else:
+        text = parse_caption({"text": record.get("text")})
+    return ClipRequest(
+        text=text,
+        concepts=concepts,
+        method=record.get("method", "fused"),
+        lambdas=_numbers(record, "lambdas", float),
+        agd=_numbers(record, "agd", float),
+        seconds=_number(record, "seconds", float),
+        seed=_number(record, "seed", int),
+        steps=_numbers(record, "steps", int),
+        guidance=_numbers(record, "guidance", float),
+        foot_fix=record.get("foot_fix", True),
+    )
 
 
-def edited_graph(request: Mapping[str, Any]) -> SemanticGraph:
-    """The graph of a request after its edit: {graph, edit: {kind, node, text, role}}.
+def apply_edit(record: Mapping[str, Any]) -> SemanticGraph:
+    """Edit the graph of a request {graph, edit: {kind, node, text, role}}.
 
     Raises:
-        InvalidInputError: an edit that there is not.
-        InvalidGraphError: a graph, node or words that cannot be.
+        InvalidInputError: there is no such edit.
+        InvalidGraphError: an invalid graph, node or text.
     """
-    _known(request, {"graph", "edit"})
-    graph, edit = SemanticGraph.from_dict(request.get("graph")), request.get("edit")
+    _check_keys(record, {"graph", "edit"})
+    graph, edit = SemanticGraph.from_dict(record.get("graph")), record.get("edit")
     if not isinstance(edit, dict):
         raise InvalidInputError("edit must be a JSON object")
-    _known(edit, {"kind", "node", "text", "role"})
+    _check_keys(edit, {"kind", "node", "text", "role"})
+    # The functions of `kinegraph.edits` check node, text and role.
     kind, node, text = edit.get("kind"), edit.get("node"), edit.get("text")
     if kind == "drop":
-        return without(graph, node)  # type: ignore[arg-type]  # the edits check what they are given
+        return without(graph, node)  # type: ignore[arg-type]
     if kind == "mask":
         return masked(graph, node)  # type: ignore[arg-type]
     if kind == "replace":
@@ -100,29 +134,37 @@ def edited_graph(request: Mapping[str, Any]) -> SemanticGraph:
     raise InvalidInputError(f"edit.kind must be drop, mask, replace, action or argument, not {kind!r}")
 
 
-def _known(record: Mapping[str, Any], keys: set[str]) -> None:
-    unknown = sorted(set(record) - keys)
+def _check_keys(record: Mapping[str, Any], known: set[str]) -> None:
+    unknown = sorted(set(record) - known)
     if unknown:
-        raise InvalidInputError(f"unknown {', '.join(map(repr, unknown))[:200]}; known are {', '.join(sorted(keys))}")
+        raise InvalidInputError(f"unknown {', '.join(map(repr, unknown))[:200]}; known are {', '.join(sorted(known))}")
 
 
 def _concepts(value: object) -> tuple[Concept, ...]:
     if not isinstance(value, list) or not all(isinstance(item, dict) for item in value):
         raise InvalidInputError("concepts must be a list of {text, weight}")
     for item in value:
-        _known(item, {"text", "weight"})
+        _check_keys(item, {"text", "weight"})
     return tuple(Concept(item.get("text"), item.get("weight", 1.0)) for item in value)
 
 
-def _option(name: str, value: object) -> object:
-    """Numbers may come as typed text: "7", "2.5", "15,15,20"; a seed beyond 2**53 must, as JSON would round it."""
-    if not isinstance(value, str) or name in ("foot_fix", "method", "text"):
+def _number(record: Mapping[str, Any], name: str, kind: type[N]) -> Any:
+    """Read a number that may be text, as typed: "2.5"; JavaScript would round a seed beyond 2**53."""
+    value = record.get(name)
+    if not isinstance(value, str):
         return value
     try:
-        if name == "seed":
-            return int(value)
-        if name == "seconds":
-            return float(value)
-        return level_steps(value) if name == "steps" else level_numbers(value)
-    except Exception as error:
-        raise InvalidInputError(f"{name}: {value[:40]!r} is not a number") from error
+        return kind(value)
+    except ValueError:
+        raise InvalidInputError(f"{name}: {value[:40]!r} is not a number") from None
+
+
+def _numbers(record: Mapping[str, Any], name: str, kind: type[N]) -> Any:
+    """Read one number or several, which may be text, as typed: "15,15,20"."""
+    value = record.get(name)
+    if not isinstance(value, str):
+        return value
+    try:
+        return parse_numbers(value, kind)
+    except InvalidInputError as error:
+        raise InvalidInputError(f"{name}: {error}") from None

@@ -1,4 +1,4 @@
-"""The socket, the browser, the end."""
+"""The server of the playground: its socket, its start and end, and the browser."""
 
 from __future__ import annotations
 
@@ -18,11 +18,14 @@ ADDRESS: Final = "127.0.0.1"
 
 
 def listen(port: int) -> socket.socket:
-    """A socket on loopback; port 0 takes any that is free.
+    """Open a socket on loopback.
+
+    Args:
+        port: 0 takes any free port.
 
     Raises:
-        InvalidInputError: no port has that number.
-        OutputError: another program has it.
+        InvalidInputError: the port is not 0 to 65535.
+        OutputError: the port cannot be used, mostly because another program uses it.
     """
     if not 0 <= port <= 65535:
         raise InvalidInputError(f"port must be 0 to 65535, not {port}")
@@ -30,17 +33,23 @@ def listen(port: int) -> socket.socket:
     listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
     try:
         listener.bind((ADDRESS, port))
-        listener.listen()  # a browser that is quicker than the server waits
+        listener.listen()  # from now on a browser that is faster than the server waits
     except OSError as error:
         listener.close()
         raise OutputError(
-            f"port {port} cannot be had ({error.strerror}); choose another with --port, or 0 for any"
+            f"port {port} cannot be used ({error.strerror}); choose another with --port, or 0 for any"
         ) from error
     return listener
 
 
 def serve(pipeline: MotionPipeline, listener: socket.socket, on_start: Callable[[str], None]) -> None:
-    """Serve until interrupted; `on_start` is told the address once it answers."""
+    """Serve until interrupted.
+
+    Args:
+        pipeline: a loaded bundle.
+        listener: from `listen`.
+        on_start: called with the address when the server is ready.
+    """
     port = listener.getsockname()[1]
     server = Server(Playground(pipeline), port)
     warm_up(pipeline)
@@ -49,11 +58,11 @@ def serve(pipeline: MotionPipeline, listener: socket.socket, on_start: Callable[
 
 
 class Server(uvicorn.Server):
-    """uvicorn, which waits for the streams that are open; so they must end when it does."""
+    """uvicorn server that cancels open streams when it shuts down; by itself it would wait for them."""
 
     def __init__(self, playground: Playground, port: int) -> None:
         self._playground = playground
-        # Nothing that it can do without: one process, no reload, no lookup of names, no log of requests.
+        # Only the minimum: one process, no reload, no name resolution, no request log.
         super().__init__(
             uvicorn.Config(
                 application(playground, port),
@@ -73,14 +82,14 @@ class Server(uvicorn.Server):
 
 
 def warm_up(pipeline: MotionPipeline) -> None:
-    """One short clip, so that the first one asked for does not wait for spaCy or a lazy session."""
+    """Generate one short clip, so that the first request does not wait for spaCy or a lazy session."""
     try:
         shortest, _ = pipeline.manifest.seconds_limits
         pipeline.generate(EXAMPLE, seconds=shortest, steps=1, seed=0, on_level=lambda level, clip: None)
     except KinegraphError:
-        return  # whatever it is, the page tells it when it is asked
+        return  # the page shows the same error with the first request
 
 
 def open_browser(url: str) -> None:
-    """In the background: some browsers only return when they are closed."""
+    """Open the browser from a thread, because some browsers return only when they are closed."""
     threading.Thread(target=webbrowser.open, args=(url,), daemon=True).start()

@@ -1,4 +1,4 @@
-"""A playground in a thread of the test, and requests to it by Python's own client."""
+"""A playground that runs in a thread of the test, and a client for it that uses Python's own HTTP."""
 
 from __future__ import annotations
 
@@ -14,13 +14,14 @@ from typing import Any
 from kinegraph import MotionPipeline
 
 TEXT = "a person walks slowly to the left"
-WISH = {"text": TEXT, "seconds": 2, "seed": 7, "steps": 3}
+REQUEST = {"text": TEXT, "seconds": 2, "seed": 7, "steps": 3}
 
 
 @dataclass(frozen=True)
-class Answer:
+class Response:
     status: int
     headers: dict[str, str]
+    """Names in lower case."""
     body: bytes
 
     @property
@@ -29,8 +30,8 @@ class Answer:
 
 
 @dataclass(frozen=True)
-class Playing:
-    """A server that answers at 127.0.0.1:port."""
+class PlaygroundClient:
+    """Client of a playground that answers at 127.0.0.1:port."""
 
     port: int
 
@@ -38,44 +39,44 @@ class Playing:
     def url(self) -> str:
         return f"http://127.0.0.1:{self.port}/"
 
-    def send(self, method: str, path: str, body: bytes | None = None, **headers: str) -> Answer:
-        """One request as it is told; `host_` and the like become Host."""
+    def send(self, method: str, path: str, body: bytes | None = None, **headers: str) -> Response:
+        """Send one request, unchecked; a keyword like `content_type` becomes the header content-type."""
         connection = http.client.HTTPConnection("127.0.0.1", self.port, timeout=60)
         try:
-            connection.request(
-                method, path, body, {name.strip("_").replace("_", "-"): v for name, v in headers.items()}
-            )
+            connection.request(method, path, body, {name.replace("_", "-"): value for name, value in headers.items()})
             response = connection.getresponse()
             named = {name.lower(): value for name, value in response.getheaders()}
-            return Answer(response.status, named, response.read())
+            return Response(response.status, named, response.read())
         finally:
             connection.close()
 
-    def post(self, path: str, value: object, tab: str = "test") -> Answer:
+    def post(self, path: str, value: object, tab: str = "test") -> Response:
+        """Post JSON, or bytes as they are."""
         data = value if isinstance(value, bytes) else json.dumps(value).encode()
         return self.send("POST", path, data, content_type="application/json", kinegraph_tab=tab)
 
     @contextmanager
-    def events(self, wish: object, tab: str = "test") -> Iterator[Iterator[dict[str, Any]]]:
-        """The events of a clip; leaving closes the connection, whatever is still to come."""
+    def events(self, request: object, tab: str = "test") -> Iterator[Iterator[dict[str, Any]]]:
+        """Ask for a clip and read its events; leaving the block closes the connection, even before the last event."""
         connection = http.client.HTTPConnection("127.0.0.1", self.port, timeout=60)
         try:
             headers = {"Content-Type": "application/json", "Kinegraph-Tab": tab}
-            connection.request("POST", "/api/clip", json.dumps(wish), headers)
+            connection.request("POST", "/api/clip", json.dumps(request), headers)
             response = connection.getresponse()
             assert response.status == 200, response.read()
             yield (json.loads(line) for line in response)
         finally:
             connection.close()
 
-    def clip(self, wish: object, tab: str = "test") -> list[dict[str, Any]]:
-        with self.events(wish, tab) as events:
+    def clip(self, request: object, tab: str = "test") -> list[dict[str, Any]]:
+        """Ask for a clip and return all of its events."""
+        with self.events(request, tab) as events:
             return list(events)
 
 
 @contextmanager
-def playing(pipeline: MotionPipeline) -> Iterator[Playing]:
-    """A server until the end of the block."""
+def running_playground(pipeline: MotionPipeline) -> Iterator[PlaygroundClient]:
+    """Run a playground until the end of the block."""
     from kinegraph.playground.app import Playground
     from kinegraph.playground.server import Server, listen
 
@@ -89,7 +90,7 @@ def playing(pipeline: MotionPipeline) -> Iterator[Playing]:
             assert time.monotonic() < deadline
             time.sleep(0.01)
         try:
-            yield Playing(port)
+            yield PlaygroundClient(port)
         finally:
             server.should_exit = True
             thread.join(20)

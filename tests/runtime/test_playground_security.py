@@ -1,4 +1,4 @@
-"""`kinegraph play` over the wire: who may ask, what is refused and how, and what it never does."""
+"""`kinegraph play` over HTTP: who may use it, which requests it refuses and how, and what it never does."""
 
 from __future__ import annotations
 
@@ -11,18 +11,18 @@ from typing import Any
 import pytest
 
 from support.cli_runs import fails, whole
-from support.playing import TEXT, WISH, Playing
+from support.playground import REQUEST, TEXT, PlaygroundClient
 
 pytest.importorskip("spacy")
 pytest.importorskip("starlette")
 pytest.importorskip("uvicorn")
 
 
-def test_the_page_is_whole_and_may_talk_to_this_server_alone(server: Playing) -> None:
-    answer = server.send("GET", "/")
-    assert answer.status == 200 and answer.headers["content-type"] == "text/html; charset=utf-8"
-    assert len(answer.body) <= 1_500_000
-    policy = answer.headers["content-security-policy"]
+def test_the_page_is_whole_and_may_talk_to_this_server_alone(server: PlaygroundClient) -> None:
+    response = server.send("GET", "/")
+    assert response.status == 200 and response.headers["content-type"] == "text/html; charset=utf-8"
+    assert len(response.body) <= 1_500_000
+    policy = response.headers["content-security-policy"]
     assert "default-src 'none'" in policy and "connect-src 'self'" in policy and "frame-ancestors 'none'" in policy
     assert "http" not in policy and "unsafe" not in policy and "*" not in policy
 
@@ -30,17 +30,17 @@ def test_the_page_is_whole_and_may_talk_to_this_server_alone(server: Playing) ->
 @pytest.mark.parametrize(
     "host", ["evil.example", "evil.example:{port}", "127.0.0.1", "127.0.0.1:1", "localhost.:{port}", ""]
 )
-def test_other_names_for_this_machine_are_refused(server: Playing, host: str) -> None:
+def test_other_names_for_this_machine_are_refused(server: PlaygroundClient, host: str) -> None:
     for method, path in (("GET", "/"), ("POST", "/api/parse")):
-        answer = server.send(method, path, b"{}", Host=host.format(port=server.port), content_type="application/json")
-        assert answer.status in (400, 421), answer  # 400: the server's own, for no Host at all
-        assert b"graph" not in answer.body
+        response = server.send(method, path, b"{}", Host=host.format(port=server.port), content_type="application/json")
+        assert response.status in (400, 421), response  # 400: the server's own, for no Host at all
+        assert b"graph" not in response.body
 
 
 @pytest.mark.parametrize("name", ["127.0.0.1", "localhost", "LOCALHOST", "[::1]"])
-def test_the_names_of_loopback_are_taken(server: Playing, name: str) -> None:
+def test_the_names_of_loopback_are_taken(server: PlaygroundClient, name: str) -> None:
     host = f"{name}:{server.port}"
-    answer = server.send(
+    response = server.send(
         "POST",
         "/api/parse",
         b'{"text": "a person walks"}',
@@ -48,7 +48,7 @@ def test_the_names_of_loopback_are_taken(server: Playing, name: str) -> None:
         origin=f"http://{host}",
         content_type="application/json",
     )
-    assert answer.status == 200
+    assert response.status == 200
 
 
 @pytest.mark.parametrize(
@@ -62,35 +62,37 @@ def test_the_names_of_loopback_are_taken(server: Playing, name: str) -> None:
         {"sec_fetch_site": "same-site"},
     ],
 )
-def test_pages_from_elsewhere_are_refused(server: Playing, headers: dict[str, str]) -> None:
-    own = {name: value.format(port=server.port) for name, value in headers.items()}
-    answer = server.send("POST", "/api/parse", b'{"text": "a person walks"}', content_type="application/json", **own)
-    assert answer.status == 403 and answer.json == {"error": "another page may not ask this server"}
+def test_pages_from_elsewhere_are_refused(server: PlaygroundClient, headers: dict[str, str]) -> None:
+    formatted = {name: value.format(port=server.port) for name, value in headers.items()}
+    response = server.send(
+        "POST", "/api/parse", b'{"text": "a person walks"}', content_type="application/json", **formatted
+    )
+    assert response.status == 403 and response.json == {"error": "another page may not ask this server"}
 
 
 @pytest.mark.parametrize("kind", ["text/plain", "application/x-www-form-urlencoded", "multipart/form-data", ""])
-def test_what_a_page_may_send_without_asking_is_no_json(server: Playing, kind: str) -> None:
+def test_what_a_page_may_send_without_asking_is_no_json(server: PlaygroundClient, kind: str) -> None:
     assert server.send("POST", "/api/parse", b'{"text": "a person walks"}', content_type=kind).status == 415
 
 
-def test_no_page_from_elsewhere_is_ever_given_leave(server: Playing) -> None:
-    asks = {"origin": "http://evil.example", "access_control_request_method": "POST"}
-    answers = [
-        server.send("OPTIONS", "/api/clip", **asks),
+def test_no_page_from_elsewhere_is_ever_given_leave(server: PlaygroundClient) -> None:
+    preflight = {"origin": "http://evil.example", "access_control_request_method": "POST"}
+    responses = [
+        server.send("OPTIONS", "/api/clip", **preflight),
         server.send("OPTIONS", "/api/clip"),
         server.send("GET", "/"),
     ]
-    assert [answer.status for answer in answers] == [403, 405, 200]
-    for answer in answers:
-        assert not [name for name in answer.headers if name.startswith("access-control")]
-        assert answer.headers["x-frame-options"] == "DENY" and answer.headers["cache-control"] == "no-store"
+    assert [response.status for response in responses] == [403, 405, 200]
+    for response in responses:
+        assert not [name for name in response.headers if name.startswith("access-control")]
+        assert response.headers["x-frame-options"] == "DENY" and response.headers["cache-control"] == "no-store"
 
 
-def test_requests_are_bounded(server: Playing) -> None:
-    answer = server.post("/api/parse", {"text": "x" * 70_000})
-    assert answer.status == 413 and "65536 bytes" in answer.json["error"]
-    told = server.send("POST", "/api/parse", b"{}", content_type="application/json", content_length="9" * 40)
-    assert told.status in (400, 413)
+def test_requests_are_bounded(server: PlaygroundClient) -> None:
+    response = server.post("/api/parse", {"text": "x" * 70_000})
+    assert response.status == 413 and "65536 bytes" in response.json["error"]
+    overstated = server.send("POST", "/api/parse", b"{}", content_type="application/json", content_length="9" * 40)
+    assert overstated.status in (400, 413)
     chunked = server.send(
         "POST", "/api/parse", b"2\r\n{}\r\n0\r\n\r\n", content_type="application/json", transfer_encoding="chunked"
     )
@@ -100,10 +102,10 @@ def test_requests_are_bounded(server: Playing) -> None:
 @pytest.mark.parametrize(
     "path", ["/viewer.js", "/../../etc/passwd", "/%2e%2e/%2e%2e/etc/passwd", "//etc/passwd", "/api/", "/api/files"]
 )
-def test_there_are_no_files_to_be_had(server: Playing, path: str) -> None:
+def test_there_are_no_files_to_be_had(server: PlaygroundClient, path: str) -> None:
     for method in ("GET", "POST"):
-        answer = server.send(method, path, b"{}", content_type="application/json")
-        assert answer.status == 404 and b"root:" not in answer.body
+        response = server.send(method, path, b"{}", content_type="application/json")
+        assert response.status == 404 and b"root:" not in response.body
 
 
 GRAPH = whole(TEXT).to_dict()
@@ -132,24 +134,24 @@ BAD: list[tuple[str, Any, str]] = [
     ("clip", {"text": TEXT, "on_step": "x"}, "unknown 'on_step'"),
     ("clip", {"concepts": [{"text": TEXT, "weight": "heavy"}]}, "weight"),
     ("clip", {"concepts": "walk"}, "concepts must be a list"),
-    ("file", {"wish": WISH, "suffix": ".exe"}, "suffix must be one of"),
-    ("file", {"wish": WISH, "suffix": ["x"]}, "suffix must be one of"),
+    ("file", {"wish": REQUEST, "suffix": ".exe"}, "suffix must be one of"),
+    ("file", {"wish": REQUEST, "suffix": ["x"]}, "suffix must be one of"),
     ("file", {"wish": 1, "suffix": ".bvh"}, "wish must be"),
     ("file", {"wish": {"text": TEXT}, "suffix": ".bvh"}, "needs the seed"),
-    ("file", {"wish": WISH, "suffix": ".bvh", "names": "unreal"}, "one of smpl, mixamo"),
+    ("file", {"wish": REQUEST, "suffix": ".bvh", "names": "unreal"}, "one of smpl, mixamo"),
 ]  # fmt: skip
 
 
 @pytest.mark.parametrize(("call", "value", "message"), BAD, ids=range(len(BAD)))
-def test_bad_requests_are_told_what_is_wrong(server: Playing, call: str, value: Any, message: str) -> None:
-    answer = server.post(f"/api/{call}", value)
-    assert answer.status == 400, answer
-    assert message in answer.json["error"] and "\n" not in answer.json["error"]
+def test_bad_requests_are_told_what_is_wrong(server: PlaygroundClient, call: str, value: Any, message: str) -> None:
+    response = server.post(f"/api/{call}", value)
+    assert response.status == 400, response
+    assert message in response.json["error"] and "\n" not in response.json["error"]
 
 
-def refusal(server: Playing, wish: object) -> str:
-    """What the last event of a clip that cannot be says."""
-    last = server.clip(wish)[-1]
+def refusal(server: PlaygroundClient, request: object) -> str:
+    """Return the error message of the last event of an invalid clip."""
+    last = server.clip(request)[-1]
     assert last["event"] == "error"
     return str(last["message"])
 
@@ -158,9 +160,9 @@ def refusal(server: Playing, wish: object) -> str:
     ("changes", "message"), [({"seconds": 90}, "seconds"), ({"seed": -1}, "seed"), ({"foot_fix": "x"}, "foot_fix")]
 )
 def test_what_the_model_does_not_take_ends_the_stream_with_its_message(
-    server: Playing, changes: dict[str, Any], message: str
+    server: PlaygroundClient, changes: dict[str, Any], message: str
 ) -> None:
-    assert message in refusal(server, {**WISH, **changes})
+    assert message in refusal(server, {**REQUEST, **changes})
 
 
 @pytest.mark.parametrize(
@@ -179,18 +181,18 @@ def test_what_the_model_does_not_take_ends_the_stream_with_its_message(
     ],
 )
 def test_compositions_are_refused_in_the_words_of_the_command_line(
-    server: Playing, changes: dict[str, Any], flags: list[str], capsys: pytest.CaptureFixture[str], here: Path
+    server: PlaygroundClient, changes: dict[str, Any], flags: list[str], capsys: pytest.CaptureFixture[str], here: Path
 ) -> None:
     message = refusal(server, {"concepts": [{"text": "a person walks"}], **changes})
     assert message and message in fails(capsys, "compose", "--and", "a person walks", *flags, "-o", "x.npz")
     assert list(here.iterdir()) == []
 
 
-def test_no_concepts_are_called_that(server: Playing) -> None:
+def test_no_concepts_are_called_that(server: PlaygroundClient) -> None:
     assert refusal(server, {"concepts": []}) == "a composition has 1 to 8 concepts, not 0"
 
 
-def test_nothing_is_written_and_nothing_asked_of_the_network(server: Playing) -> None:
+def test_nothing_is_written_and_nothing_asked_of_the_network(server: PlaygroundClient) -> None:
     seen: list[str] = []
     watching = threading.Event()
 
@@ -208,9 +210,9 @@ def test_nothing_is_written_and_nothing_asked_of_the_network(server: Playing) ->
     watching.set()
     try:
         server.send("GET", "/")
-        assert server.clip(WISH)[-1]["event"] == "clip"
+        assert server.clip(REQUEST)[-1]["event"] == "clip"
         for suffix in (".bvh", ".glb", ".npz", ".html"):
-            assert server.post("/api/file", {"wish": WISH, "suffix": suffix}).status == 200
+            assert server.post("/api/file", {"wish": REQUEST, "suffix": suffix}).status == 200
     finally:
         watching.clear()
     assert seen == []
