@@ -1,7 +1,9 @@
-"""The twelve edge types of the semantic graph (GraphMotion, section B.1) and their stable numbers.
+"""Hierarchical semantic graph of a caption (GraphMotion, section 3.1), with its JSON.
 
-The hierarchical semantic graph (GraphMotion, section 3.1): the caption (motion), its actions, their arguments
-(specifics), on twelve types of weighted edges. Edits are in `kinegraph.edits`."""
+Nodes are on three levels: the caption (motion), its actions, and their arguments (specifics). Weighted edges of twelve
+types (section B.1) lead from the motion node to the actions and from each action to its arguments. `kinegraph.edits`
+changes a graph.
+"""
 
 from __future__ import annotations
 
@@ -14,7 +16,9 @@ from kinegraph.errors import InvalidGraphError
 from kinegraph.limits import MAX_NODES, MAX_TEXT
 
 MOTION_ACTION: Final = "ARGM-MA"
+"""Type of the edges from the motion node to the actions."""
 OTHERS: Final = "OTHERS"
+"""Type of the edges to arguments without one of the other roles."""
 
 ROLES: Final[tuple[str, ...]] = (
     "ARG0",
@@ -30,55 +34,55 @@ ROLES: Final[tuple[str, ...]] = (
     MOTION_ACTION,
     OTHERS,
 )
-"""Position in this tuple is the relation number fed to the graph encoder; trained weights depend on it."""
+"""Edge types. The index in this tuple is the relation number of the graph encoder; trained weights depend on it."""
 
 ARGUMENT_ROLES: Final[tuple[str, ...]] = tuple(role for role in ROLES if role != MOTION_ACTION)
-"""Roles an action's argument may bear; ARGM-MA is reserved for motion-action edges."""
+"""Roles of arguments; ARGM-MA is reserved for the edges to actions."""
 
 ROLE_INDEX: Final[dict[str, int]] = {role: index for index, role in enumerate(ROLES)}
-
+"""Relation number of each edge type."""
 
 MAX_WEIGHT: Final = 100.0
-"""Of an edge; beyond it attention sees nothing else anyway."""
+"""Largest weight of an edge."""
 
 
 @dataclass(frozen=True)
 class Argument:
-    """A specific node, hanging on one action."""
+    """A specific node: an argument of one action."""
 
     role: str
-    """One of `roles.ARGUMENT_ROLES`: the type of its edge."""
+    """One of `ARGUMENT_ROLES`: the type of its edge."""
     text: str
     """`caption[start:end]`."""
     start: int
     end: int
     """Characters of the caption, end exclusive."""
     weight: float = 1.0
-    """Of the edge to its action: 1 leaves the model as it is, 0 removes the node."""
+    """Weight of the edge from its action: 1 is neutral, 0 is the same as no such node."""
 
 
 @dataclass(frozen=True)
 class Action:
-    """A verb and its arguments."""
+    """An action node: a verb and its arguments."""
 
     text: str
     """`caption[start:end]`."""
     start: int
     end: int
     order: int
-    """Place in the sequence of actions. Stays with the node when others are removed."""
+    """Index in the sequence of actions; it stays when other actions are removed."""
     weight: float = 1.0
-    """Of the edge to the motion node."""
+    """Weight of the edge from the motion node."""
     arguments: tuple[Argument, ...] = ()
 
 
 @dataclass(frozen=True)
 class SemanticGraph:
-    """A caption with its actions; checked when made.
+    """A caption with its actions, validated on construction.
 
     Raises:
-        InvalidGraphError: text that is not the caption's at these offsets, a role that does not exist, a weight that is
-            negative or not finite, no action, or more than `limits.MAX_NODES` nodes.
+        InvalidGraphError: text that differs from the caption at its offsets, an unknown role, a weight that is
+            not in 0 to `MAX_WEIGHT`, no action, or more than `limits.MAX_NODES` nodes.
     """
 
     caption: str
@@ -91,64 +95,64 @@ class SemanticGraph:
             raise InvalidGraphError("a graph needs at least one action")
         if self.node_count > MAX_NODES:
             raise InvalidGraphError(f"a graph may have {MAX_NODES} nodes, this one has {self.node_count}")
-        for number, action in enumerate(self.actions):
-            where = f"actions[{number}]"
+        for index, action in enumerate(self.actions):
+            where = f"actions[{index}]"
             _check_node(action, self.caption, where)
             if type(action.order) is not int or not 0 <= action.order < MAX_NODES:
                 raise InvalidGraphError(f"{where}.order must be 0 to {MAX_NODES - 1}, not {action.order!r}")
-            for place, argument in enumerate(action.arguments):
-                inner = f"{where}.arguments[{place}]"
-                _check_node(argument, self.caption, inner)
+            for argument_index, argument in enumerate(action.arguments):
+                argument_where = f"{where}.arguments[{argument_index}]"
+                _check_node(argument, self.caption, argument_where)
                 if argument.role not in ARGUMENT_ROLES:
                     raise InvalidGraphError(
-                        f"{inner}.role must be one of {', '.join(ARGUMENT_ROLES)}, not {argument.role!r}"
+                        f"{argument_where}.role must be one of {', '.join(ARGUMENT_ROLES)}, not {argument.role!r}"
                     )
 
     @property
     def node_count(self) -> int:
-        """Motion node, actions and specifics."""
+        """Number of nodes: the motion node, actions and specifics."""
         return 1 + len(self.actions) + sum(len(action.arguments) for action in self.actions)
 
     @property
     def nodes(self) -> tuple[Action | Argument, ...]:
-        """All nodes but the motion node, in the order of the model: actions, then their arguments."""
-        return (*self.actions, *(part for action in self.actions for part in action.arguments))
+        """All nodes except the motion node, in the order of the model: actions, then their arguments."""
+        return (*self.actions, *(argument for action in self.actions for argument in action.arguments))
 
     def to_dict(self) -> dict[str, Any]:
-        """What `to_json` writes. An action's order is told only where it is not its place in the list."""
+        """Convert to plain values for JSON. An action's order is written only where it differs from its index."""
         actions = []
-        for place, action in enumerate(self.actions):
+        for index, action in enumerate(self.actions):
             row: dict[str, Any] = {
                 "text": action.text,
                 "start": action.start,
                 "end": action.end,
                 "weight": float(action.weight),
             }
-            if action.order != place:
+            if action.order != index:
                 row["order"] = action.order
             row["arguments"] = [
                 {
-                    "role": part.role,
-                    "text": part.text,
-                    "start": part.start,
-                    "end": part.end,
-                    "weight": float(part.weight),
+                    "role": argument.role,
+                    "text": argument.text,
+                    "start": argument.start,
+                    "end": argument.end,
+                    "weight": float(argument.weight),
                 }
-                for part in action.arguments
+                for argument in action.arguments
             ]
             actions.append(row)
         return {"caption": self.caption, "actions": actions}
 
     def to_json(self, *, indent: int | None = None) -> str:
-        """As JSON text, every character of the caption as it is."""
+        """Convert to JSON text; characters of the caption are not escaped to ASCII."""
         return json.dumps(self.to_dict(), ensure_ascii=False, indent=indent)
 
     @staticmethod
     def from_json(text: str) -> SemanticGraph:
-        """Read what `to_json` or a person wrote.
+        """Read JSON text, as `to_json` writes it.
 
         Raises:
-            InvalidGraphError: no JSON, an unknown or missing key, a wrong type, or see `SemanticGraph`.
+            InvalidGraphError: invalid JSON, an unknown or missing key, a wrong type, or as `SemanticGraph` raises.
         """
         try:
             value = json.loads(text, parse_constant=_refuse_constant)
@@ -158,23 +162,26 @@ class SemanticGraph:
 
     @staticmethod
     def from_dict(value: object) -> SemanticGraph:
-        """From parsed JSON; see `from_json`."""
-        record = _record(value, "the graph", {"caption", "actions"}, set())
-        actions = tuple(_action(item, place) for place, item in enumerate(_list(record["actions"], "actions")))
+        """Read parsed JSON; raises as `from_json` does."""
+        record = _check_record(value, "the graph", {"caption", "actions"}, set())
+        items = _check_list(record["actions"], "actions")
+        actions = tuple(_read_action(item, index) for index, item in enumerate(items))
         return SemanticGraph(record["caption"], actions)
 
 
-def _action(value: object, place: int) -> Action:
-    where = f"actions[{place}]"
-    record = _record(value, where, {"text", "start", "end"}, {"weight", "order", "arguments"})
-    arguments = tuple(
-        Argument(**_record(item, f"{where}.arguments[{number}]", {"role", "text", "start", "end"}, {"weight"}))
-        for number, item in enumerate(_list(record.get("arguments", []), f"{where}.arguments"))
-    )
-    return Action(**{"order": place, **record, "arguments": arguments})
+def _read_action(value: object, index: int) -> Action:
+    where = f"actions[{index}]"
+    record = _check_record(value, where, {"text", "start", "end"}, {"weight", "order", "arguments"})
+    items = _check_list(record.get("arguments", []), f"{where}.arguments")
+    arguments = tuple(_read_argument(item, f"{where}.arguments[{number}]") for number, item in enumerate(items))
+    return Action(**{"order": index, **record, "arguments": arguments})
 
 
-def _record(value: object, where: str, required: set[str], optional: set[str]) -> dict[str, Any]:
+def _read_argument(value: object, where: str) -> Argument:
+    return Argument(**_check_record(value, where, {"role", "text", "start", "end"}, {"weight"}))
+
+
+def _check_record(value: object, where: str, required: set[str], optional: set[str]) -> dict[str, Any]:
     if not isinstance(value, dict):
         raise InvalidGraphError(f"{where} must be a JSON object")
     missing, unknown = sorted(required - set(value)), sorted(set(value) - required - optional)
@@ -187,7 +194,7 @@ def _record(value: object, where: str, required: set[str], optional: set[str]) -
     return value
 
 
-def _list(value: object, where: str) -> list[object]:
+def _check_list(value: object, where: str) -> list[object]:
     if not isinstance(value, list):
         raise InvalidGraphError(f"{where} must be a list")
     return value

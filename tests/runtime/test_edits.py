@@ -1,4 +1,4 @@
-"""Edits of the semantic graph: each does what it says, leaves the rest, and refuses what cannot be."""
+"""Edits of the semantic graph: what each changes, what it leaves unchanged, and what it refuses."""
 
 from __future__ import annotations
 
@@ -13,9 +13,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from kinegraph import Concept, InvalidGraphError, MotionPipeline, cli
-from kinegraph.bundle.reader import DEFAULT_BUNDLE
 from kinegraph.concepts import UPWEIGHT_GAIN, weighted_edge_terms
-from kinegraph.edits import MASK, masked, replaced, with_action, with_argument, with_weight, without, without_words
+from kinegraph.edits import MASK, masked, remove_words, replaced, with_action, with_argument, with_weight, without
 from kinegraph.formats.graph_svg import graph_svg
 from kinegraph.graph import MAX_WEIGHT, Action, Argument, SemanticGraph
 from kinegraph.limits import MAX_NODES
@@ -23,7 +22,6 @@ from support.cli_runs import fails
 from support.same_motion import assert_same_motion
 
 CAPTION = "a person walks slowly to the left and then waves slowly"
-needs_default = pytest.mark.skipif(not (DEFAULT_BUNDLE / "manifest.json").is_file(), reason="no default bundle")
 
 
 def argument(role: str, text: str, start: int) -> Argument:
@@ -51,24 +49,24 @@ def texts(graph: SemanticGraph) -> list[str]:
 
 @pytest.mark.parametrize("node", ["to the left", "  To THE  left ", 5])
 def test_one_weight_changes_and_nothing_else(node: str | int) -> None:
-    found = with_weight(GRAPH, node, 2.5)
-    assert [each.weight for each in found.nodes] == [1, 1, 1, 1, 2.5, 1]
-    assert with_weight(found, node, 1.0) == GRAPH
-    assert SemanticGraph.from_json(found.to_json()) == found
+    graph = with_weight(GRAPH, node, 2.5)
+    assert [other.weight for other in graph.nodes] == [1, 1, 1, 1, 2.5, 1]
+    assert with_weight(graph, node, 1.0) == GRAPH
+    assert SemanticGraph.from_json(graph.to_json()) == graph
 
 
 def test_without_a_node_its_words_go_and_the_order_of_other_actions_stays() -> None:
-    found = without(GRAPH, "walks")
-    assert (found.caption, texts(found), found.actions[0].order) == ("waves slowly", ["waves", "slowly"], 1)
-    found = without(GRAPH, "waves")
-    assert (found.caption, texts(found)) == ("a person walks slowly to the left", texts(GRAPH)[:1] + texts(GRAPH)[2:5])
-    found = without(GRAPH, 4)
-    assert found.caption == "a person walks to the left and then waves slowly"
-    assert texts(found) == ["walks", "waves", "a person", "to the left", "slowly"]
+    graph = without(GRAPH, "walks")
+    assert (graph.caption, texts(graph), graph.actions[0].order) == ("waves slowly", ["waves", "slowly"], 1)
+    graph = without(GRAPH, "waves")
+    assert (graph.caption, texts(graph)) == ("a person walks slowly to the left", texts(GRAPH)[:1] + texts(GRAPH)[2:5])
+    graph = without(GRAPH, 4)
+    assert graph.caption == "a person walks to the left and then waves slowly"
+    assert texts(graph) == ["walks", "waves", "a person", "to the left", "slowly"]
 
 
 @pytest.mark.parametrize(
-    ("caption", "gone", "kept", "joined", "left"),
+    ("caption", "removed", "kept", "verb_start", "expected"),
     [
         ("he walks, jumps, and runs.", [(10, 15)], [(3, 8), (21, 25)], 10, "he walks, and runs."),
         ("he walks to the left, then waves and bows", [(27, 32)], [(3, 8), (12, 20), (22, 26)], 27,
@@ -78,29 +76,29 @@ def test_without_a_node_its_words_go_and_the_order_of_other_actions_stays() -> N
         ("he walks slowly.", [(9, 15)], [(3, 8)], None, "he walks."),
     ],
 )  # fmt: skip
-def test_words_are_taken_out_so_that_the_rest_reads_on(
-    caption: str, gone: list[tuple[int, int]], kept: list[tuple[int, int]], joined: int | None, left: str
+def test_words_are_removed_so_that_the_rest_reads_on(
+    caption: str, removed: list[tuple[int, int]], kept: list[tuple[int, int]], verb_start: int | None, expected: str
 ) -> None:
-    words, places = without_words(caption, gone, kept, joined)
-    assert words == left
+    text, positions = remove_words(caption, removed, kept, verb_start)
+    assert text == expected
     for start, end in kept:
-        assert words[places[start] : places[end - 1] + 1] == caption[start:end]
+        assert text[positions[start] : positions[end - 1] + 1] == caption[start:end]
 
 
 def test_a_weight_scales_what_its_node_adds() -> None:
     assert weighted_edge_terms(GRAPH) == [(GRAPH, 1.0)]
-    gone = without(GRAPH, "to the left")
-    assert weighted_edge_terms(with_weight(GRAPH, "to the left", 0)) == [(gone, 1.0)]
-    assert weighted_edge_terms(with_weight(GRAPH, "to the left", 0.25)) == [(GRAPH, 0.25), (gone, 0.75)]
-    more = 2 * UPWEIGHT_GAIN
-    assert weighted_edge_terms(with_weight(GRAPH, "to the left", 3)) == [(GRAPH, 1 + more), (gone, -more)]
+    reduced = without(GRAPH, "to the left")
+    assert weighted_edge_terms(with_weight(GRAPH, "to the left", 0)) == [(reduced, 1.0)]
+    assert weighted_edge_terms(with_weight(GRAPH, "to the left", 0.25)) == [(GRAPH, 0.25), (reduced, 0.75)]
+    gain = 2 * UPWEIGHT_GAIN
+    assert weighted_edge_terms(with_weight(GRAPH, "to the left", 3)) == [(GRAPH, 1 + gain), (reduced, -gain)]
     both = weighted_edge_terms(with_weight(with_weight(with_weight(GRAPH, 5, 3), "waves", 0.5), 4, 0))
     assert [graph.caption for graph, _ in both] == [
         "a person walks to the left and then waves slowly",
         "a person walks to the left",
         "a person walks and then waves slowly",
     ]
-    assert [weight for _, weight in both] == pytest.approx([0.5 + more, 0.5, -more])
+    assert [weight for _, weight in both] == pytest.approx([0.5 + gain, 0.5, -gain])
 
 
 @given(st.lists(st.sampled_from([0.0, 0.5, 1.0, 3.0]), min_size=6, max_size=6))
@@ -128,14 +126,14 @@ def test_the_only_action_counts_against_no_text() -> None:
 
 @pytest.mark.parametrize("text", ["runs", "strolls about", "x"])
 def test_other_words_go_into_the_caption_and_every_span_follows(text: str) -> None:
-    found = replaced(GRAPH, "walks", text)
-    assert found.caption == CAPTION.replace("walks", text)
-    assert texts(found) == [text, *texts(GRAPH)[1:]]
-    assert replaced(found, text, "walks") == GRAPH
+    graph = replaced(GRAPH, "walks", text)
+    assert graph.caption == CAPTION.replace("walks", text)
+    assert texts(graph) == [text, *texts(GRAPH)[1:]]
+    assert replaced(graph, text, "walks") == GRAPH
     assert texts(masked(GRAPH, "waves"))[1] == MASK
 
 
-def test_a_node_around_the_words_grows_and_one_inside_is_told() -> None:
+def test_a_node_around_the_words_grows_and_one_inside_is_refused() -> None:
     around = SemanticGraph("he starts to walk", (Action("starts", 3, 9, 0, 1.0, (argument("ARG1", "to walk", 10),)),
                                                  Action("walk", 13, 17, 1)))  # fmt: skip
     assert texts(replaced(around, "walk", "run fast")) == ["starts", "run fast", "to run fast"]
@@ -146,14 +144,14 @@ def test_a_node_around_the_words_grows_and_one_inside_is_told() -> None:
     assert texts(replaced(alone, "to walk", "to run")) == ["starts", "to run"]
 
 
-def test_what_is_added_stands_in_the_caption() -> None:
-    found = with_action(GRAPH, "bows ", 0.5)
-    assert found.caption == f"{CAPTION} and bows"
-    assert found.actions[-1] == Action("bows", len(CAPTION) + 5, len(CAPTION) + 9, 2, 0.5)
-    more = with_argument(found, "walks", "ARGM-ADV", "with a limp")
-    assert more.caption == "a person walks slowly to the left with a limp and then waves slowly and bows"
-    assert more.actions[0].arguments[-1].text == "with a limp" and more.actions[-1].text == "bows"
-    assert without(more, "with a limp") == found
+def test_added_nodes_are_in_the_caption() -> None:
+    extended = with_action(GRAPH, "bows ", 0.5)
+    assert extended.caption == f"{CAPTION} and bows"
+    assert extended.actions[-1] == Action("bows", len(CAPTION) + 5, len(CAPTION) + 9, 2, 0.5)
+    limping = with_argument(extended, "walks", "ARGM-ADV", "with a limp")
+    assert limping.caption == "a person walks slowly to the left with a limp and then waves slowly and bows"
+    assert limping.actions[0].arguments[-1].text == "with a limp" and limping.actions[-1].text == "bows"
+    assert without(limping, "with a limp") == extended
 
 
 @pytest.mark.parametrize(
@@ -176,7 +174,7 @@ def test_what_is_added_stands_in_the_caption() -> None:
         (lambda: with_argument(GRAPH, "walks", "ARG9", "x"), "role must be one of"),
     ],
 )
-def test_an_edit_that_cannot_be_is_refused(edit: Callable[[], SemanticGraph], message: str) -> None:
+def test_an_invalid_edit_is_refused(edit: Callable[[], SemanticGraph], message: str) -> None:
     with pytest.raises(InvalidGraphError, match=message):
         edit()
 
@@ -191,16 +189,16 @@ def test_no_more_nodes_than_the_model_takes() -> None:
 
 @given(st.integers(1, 6), st.text(min_size=1, max_size=20).filter(str.strip), st.integers(1, 6), st.floats(0, 3))
 def test_any_edits_leave_a_graph_that_comes_back_from_json(node: int, text: str, other: int, weight: float) -> None:
-    found = with_weight(replaced(GRAPH, node, text), other, weight)
-    assert SemanticGraph.from_json(found.to_json()) == found
-    assert found.nodes[node - 1].text == text.strip() and found.node_count == GRAPH.node_count
+    graph = with_weight(replaced(GRAPH, node, text), other, weight)
+    assert SemanticGraph.from_json(graph.to_json()) == graph
+    assert graph.nodes[node - 1].text == text.strip() and graph.node_count == GRAPH.node_count
 
 
 def test_the_picture_shows_every_node_edge_and_weight() -> None:
     graph = with_weight(with_weight(replaced(GRAPH, "walks", "walks <&> runs"), "waves", 0.0), "to the left", 2.5)
     svg = graph_svg(graph)
     root = ElementTree.fromstring(svg)
-    shown = ["".join(each.itertext()) for each in root.iter("{http://www.w3.org/2000/svg}text")]
+    shown = ["".join(element.itertext()) for element in root.iter("{http://www.w3.org/2000/svg}text")]
     for node in graph.nodes:
         assert node.text in shown
     assert shown.count("ARGM-MA") == 1 and "ARGM-MA ×0" in shown and "ARGM-DIR ×2.5" in shown
@@ -209,7 +207,6 @@ def test_the_picture_shows_every_node_edge_and_weight() -> None:
     assert svg == graph_svg(graph)
 
 
-@needs_default
 def test_edits_on_the_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     edits = ["--weight", "to the left=2", "--drop", "slowly", "--replace", "walks=runs", "--mask", "1"]
     assert cli.main(["parse", "a person walks slowly to the left", *edits]) == 0
@@ -219,15 +216,14 @@ def test_edits_on_the_command_line(tmp_path: Path, capsys: pytest.CaptureFixture
     (tmp_path / "g.json").write_text(graph.to_json())
     few = ["--steps", "2", "--seconds", "1", "--seed", "1", "--quiet"]
     assert cli.main(["generate", "--graph", str(tmp_path / "g.json"), *few, "-o", str(tmp_path / "a.npz")]) == 0
-    said = ["generate", "a person walks slowly to the left", *edits, *few, "-o", str(tmp_path / "b.npz")]
-    assert cli.main(said) == 0
-    with np.load(tmp_path / "a.npz") as one, np.load(tmp_path / "b.npz") as other:
-        np.testing.assert_array_equal(one["joints"], other["joints"])
+    from_sentence = ["generate", "a person walks slowly to the left", *edits, *few, "-o", str(tmp_path / "b.npz")]
+    assert cli.main(from_sentence) == 0
+    with np.load(tmp_path / "a.npz") as from_graph, np.load(tmp_path / "b.npz") as from_text:
+        np.testing.assert_array_equal(from_graph["joints"], from_text["joints"])
     assert cli.main(["parse", "--graph", str(tmp_path / "g.json"), "--svg", str(tmp_path / "g.svg")]) == 0
     assert ElementTree.parse(tmp_path / "g.svg").getroot().tag.endswith("svg")
 
 
-@needs_default
 @pytest.mark.parametrize(
     ("words", "message"),
     [
@@ -241,33 +237,30 @@ def test_edits_on_the_command_line(tmp_path: Path, capsys: pytest.CaptureFixture
         (["--jsonl", "x.jsonl", "--svg", "g.svg"], "either --jsonl"),
     ],
 )
-def test_a_wrong_edit_is_told_on_one_line(words: list[str], message: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_an_invalid_edit_prints_one_line(words: list[str], message: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert message in fails(capsys, "parse", *words)
 
 
-@needs_default
-def test_weight_zero_is_deletion_and_weight_one_is_nothing() -> None:
-    pipe = MotionPipeline.load(threads=1)
+def test_weight_zero_removes_a_node_and_weight_one_changes_nothing(pipe: MotionPipeline) -> None:
     graph = pipe.parse("a person walks slowly to the left")
     few = {"steps": (3, 3, 4), "seconds": 2, "seed": 3}
     plain = pipe.generate(graph, **few).joints
     assert pipe.generate(with_weight(graph, "to the left", 1.0), **few).joints.tobytes() == plain.tobytes()
-    left = without(graph, "to the left")
-    gone = pipe.generate(left, **few).joints
-    for weight, room in ((0.0, 1e-5), (1e-6, 1e-3)):
+    reduced = pipe.generate(without(graph, "to the left"), **few).joints
+    for weight, tolerance in ((0.0, 1e-5), (1e-6, 1e-3)):
         faint = pipe.generate(with_weight(graph, "to the left", weight), **few).joints
-        assert_same_motion(pipe, faint, gone, room)
-    assert not np.allclose(gone, plain, atol=1e-3)
+        assert_same_motion(pipe, faint, reduced, tolerance)
+    assert not np.allclose(reduced, plain, atol=1e-3)
 
 
-@needs_default
-@pytest.mark.parametrize(("weight", "counts"), [(0.5, 0.5), (2.0, 1 + UPWEIGHT_GAIN)])
-def test_a_weight_between_is_the_latent_aware_composition_of_with_and_without(weight: float, counts: float) -> None:
-    pipe = MotionPipeline.load(threads=1)
+@pytest.mark.parametrize(("weight", "coefficient"), [(0.5, 0.5), (2.0, 1 + UPWEIGHT_GAIN)])
+def test_a_weight_between_is_the_latent_aware_composition_of_with_and_without(
+    pipe: MotionPipeline, weight: float, coefficient: float
+) -> None:
     graph = pipe.parse("a person walks slowly to the left")
     few = {"steps": (3, 3, 4), "seconds": 2, "seed": 3}
     edited = with_weight(graph, "to the left", weight)
-    both = [Concept(graph, counts), Concept(without(graph, "to the left"), 1 - counts)]
+    both = [Concept(graph, coefficient), Concept(without(graph, "to the left"), 1 - coefficient)]
     expected = pipe.compose(both, method="latent", **few).joints
     assert_same_motion(pipe, pipe.generate(edited, **few).joints, expected)
     for how in ({"method": "latent"}, {"method": "fused", "lambdas": (0.0, 0.0, 1.0)}):

@@ -1,4 +1,4 @@
-"""The semantic graph: checked when made, the same after JSON, nothing accepted that is not one."""
+"""The semantic graph: validation, JSON round trip, and invalid graphs refused."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ GRAPH = SemanticGraph(
 
 
 def edited(**changes: Any) -> dict[str, Any]:
-    """The graph as parsed JSON, with some keys of its first action changed (None removes one)."""
+    """Return the graph as parsed JSON, with keys of its first action changed; None removes a key."""
     value = GRAPH.to_dict()
     for name, change in changes.items():
         value["actions"][0][name] = change
@@ -49,7 +49,7 @@ def test_the_twelve_edge_types_keep_their_numbers() -> None:
     )  # fmt: skip
 
 
-def test_nothing_can_be_changed_in_place() -> None:
+def test_graphs_are_immutable() -> None:
     for part in (GRAPH, GRAPH.actions[0], GRAPH.actions[0].arguments[0]):
         with pytest.raises(dataclasses.FrozenInstanceError):
             part.text = "x"  # type: ignore[misc, union-attr]
@@ -98,7 +98,7 @@ def test_any_text_survives_json(caption: str, data: st.DataObject) -> None:
         ({"colour": "red"}, "colour"),
     ],
 )
-def test_what_is_no_graph_is_refused_by_name(changes: dict[str, Any], named: str) -> None:
+def test_invalid_graphs_are_refused_by_name(changes: dict[str, Any], named: str) -> None:
     with pytest.raises(InvalidGraphError, match=named):
         SemanticGraph.from_dict(edited(**changes))
 
@@ -113,27 +113,27 @@ def test_what_is_no_graph_is_refused_by_name(changes: dict[str, Any], named: str
         GRAPH.to_json().replace("1.5", "NaN"), GRAPH.to_json().replace("1.5", "1e999"),
     ],
 )  # fmt: skip
-def test_json_of_something_else_is_refused(text: str) -> None:
+def test_other_json_is_refused(text: str) -> None:
     with pytest.raises(InvalidGraphError):
         SemanticGraph.from_json(text)
 
 
 def test_more_nodes_than_the_model_takes_are_refused() -> None:
     def with_actions(count: int) -> SemanticGraph:
-        return SemanticGraph("walks", tuple(Action("walks", 0, 5, place % MAX_NODES) for place in range(count)))
+        return SemanticGraph("walks", tuple(Action("walks", 0, 5, order % MAX_NODES) for order in range(count)))
 
     assert with_actions(MAX_NODES - 1).node_count == MAX_NODES
     with pytest.raises(InvalidGraphError, match=str(MAX_NODES + 1)):
         with_actions(MAX_NODES)
 
 
-def test_a_wrong_graph_is_wrong_input() -> None:
+def test_an_invalid_graph_is_invalid_input() -> None:
     # One `except` catches both.
     assert issubclass(InvalidGraphError, InvalidInputError)
 
 
 @pytest.mark.parametrize("role", ARGUMENT_ROLES)
-def test_every_role_but_that_of_actions_may_be_borne(role: str) -> None:
+def test_every_role_except_that_of_actions_is_allowed(role: str) -> None:
     argument = Argument(role, "slowly", 15, 21)
     graph = SemanticGraph(CAPTION, (Action("walks", 9, 14, 0, arguments=(argument,)),))
     assert graph.node_count == 3
