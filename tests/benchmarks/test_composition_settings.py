@@ -12,13 +12,12 @@ import pytest
 from kinegraph_benchmarks.common.report_io import write_json
 from kinegraph_benchmarks.common.two_action_set import BESIDE
 from kinegraph_benchmarks.quality import composition_settings as settings
-from support.motions import SHARED, walk
+from support.motions import walk
+from support.shared import shared_path
 
 
 def test_pairs_are_held_out_of_training_and_can_be_judged() -> None:
-    held_out = SHARED / "data" / "held_out_pairs.json"
-    if not held_out.is_file():
-        pytest.skip("needs the held-out pairs")
+    held_out = shared_path("data", "held_out_pairs.json")
     together = {frozenset(pair) for pair in json.loads(held_out.read_text())["together"]}
     assert len(set(settings.PAIRS)) == 12
     for pair in settings.PAIRS:

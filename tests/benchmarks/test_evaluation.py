@@ -17,7 +17,8 @@ from kinegraph_benchmarks.common.sample_cache import captions_of, folder_of, gen
 from kinegraph_benchmarks.common.scores import Judges, Reference, by_pair, has_twin, kept_labels, means, summarised
 from kinegraph_benchmarks.quality.evaluate import captured_scores, table
 from kinegraph_training.data.clips import MotionClip, read_split
-from support.motions import SHARED, posed, t_pose, turn, walk
+from support.motions import posed, t_pose, turn, walk
+from support.shared import shared_path
 
 
 def clip(content: str, joints: np.ndarray, style: str = "normal", *captions: str) -> MotionClip:
@@ -41,10 +42,9 @@ def test_claims_are_read_from_captions(caption: str, expected: list[Claim]) -> N
     assert claims(caption) == expected
 
 
-@pytest.mark.skipif(not (SHARED / "data").is_dir(), reason="needs the shared data")
 def test_steps_are_counted_as_the_labels_count_them() -> None:
-    clips = [clip for clip in read_split(SHARED / "data/bandai", "dev_test") if clip.steps]
-    assert np.mean([steps(clip.joints) == clip.steps for clip in clips]) > 0.85 and len(clips) == 33
+    clips = [clip for clip in read_split(shared_path("data", "bandai"), "dev_test") if clip.steps]
+    assert np.mean([count_steps(clip.joints) == clip.steps for clip in clips]) > 0.85 and len(clips) == 33
 
 
 def test_steps_are_counted() -> None:

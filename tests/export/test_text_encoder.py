@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from support.motions import SHARED
+from support.shared import shared_path
 
 torch = pytest.importorskip("torch")
 pytest.importorskip("onnx")
@@ -42,9 +42,7 @@ def published(wheel: Path) -> MiniLm:
 @pytest.fixture(scope="module")
 def captions(wheel: Path) -> list[np.ndarray]:
     """Word pieces of 200 captions."""
-    path = SHARED / "data" / "bandai" / "captions.jsonl"
-    if not path.is_file():
-        pytest.skip("captions (../shared/data) are not at hand")
+    path = shared_path("data", "bandai", "captions.jsonl")
     rows = path.read_text(encoding="utf-8").splitlines()
     texts = [json.loads(row)["captions"][number % 4] for number, row in enumerate(rows[::13])][:200]
     assert len(set(texts)) > 150

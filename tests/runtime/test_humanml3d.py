@@ -18,16 +18,15 @@ from kinegraph.motion.humanml3d import (
     joints_from_humanml3d,
 )
 from kinegraph.motion.skeleton import JOINT_INDEX, PARENTS, bone_lengths, canonicalise, facing_angle
-from support.motions import SHARED, recorded, t_pose, turn, walk
+from support.motions import recorded, t_pose, turn, walk
+from support.shared import shared_path
 
 HEADINGS = get_args(Heading)
 
 
 @pytest.fixture(scope="module")
 def official() -> dict[str, np.ndarray]:
-    path = SHARED / "fixtures" / "official" / "hml_process_synthetic.npz"
-    if not path.is_file():
-        pytest.skip("the released code's output (../shared/fixtures) is not at hand")
+    path = shared_path("fixtures", "official", "hml_process_synthetic.npz")
     with np.load(path, allow_pickle=False) as pack:
         return dict(pack)
 

@@ -15,7 +15,7 @@ import kinegraph
 from kinegraph.errors import InvalidInputError
 from kinegraph.graph import SemanticGraph
 from kinegraph.limits import MAX_NODES, MAX_TEXT
-from support.motions import SHARED
+from support.shared import shared_path
 
 pytest.importorskip("spacy")
 
@@ -127,9 +127,7 @@ def check_offsets(caption: str, graph: SemanticGraph) -> None:
 
 
 def test_offsets_are_exact_in_real_captions(parser: GraphParser) -> None:
-    path = SHARED / "data" / "bandai" / "captions.jsonl"
-    if not path.is_file():
-        pytest.skip("captions (../shared/data) are not at hand")
+    path = shared_path("data", "bandai", "captions.jsonl")
     rows = path.read_text(encoding="utf-8").splitlines()[::13]
     captions = [json.loads(row)["captions"][0] for row in rows]
     assert len(captions) > 200
@@ -209,9 +207,7 @@ def test_the_background_import_loads_spacy() -> None:
 
 def test_agreement_with_the_released_graphs_does_not_fall(parser: GraphParser, tmp_path: Path) -> None:
     # Rules alone, all captions; `kinegraph_benchmarks.quality.parser_accuracy` measures the argument classifier, too.
-    gold = SHARED / "graphs" / "kit_gold_dev.jsonl"
-    if not gold.is_file():
-        pytest.skip("gold graphs (../shared/graphs) are not at hand")
+    gold = shared_path("graphs", "kit_gold_dev.jsonl")
     captions = {json.loads(line)["caption"] for line in gold.read_text(encoding="utf-8").splitlines()}
     predicted = tmp_path / "predicted.jsonl"
     rows = [parser.parse(caption).to_json() for caption in sorted(captions)]

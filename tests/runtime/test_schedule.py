@@ -9,9 +9,7 @@ from hypothesis import strategies as st
 
 from kinegraph.diffusion.sampling import NoiseSchedule, ddim_coefficients, ddim_step, guide
 from kinegraph.errors import InvalidInputError
-from support.motions import SHARED
-
-OFFICIAL = SHARED / "fixtures" / "official" / "ddim_schedule.npz"
+from support.shared import shared_path
 
 
 def alpha_bars(train_steps: int, start: float, end: float) -> list[float]:
@@ -34,10 +32,9 @@ def test_the_table_cannot_be_written_to() -> None:
         NoiseSchedule().alphas_cumprod[0] = 1.0
 
 
-@pytest.mark.skipif(not OFFICIAL.is_file(), reason="the released code's numbers (../shared) are not at hand")
 def test_the_released_codes_numbers() -> None:
     schedule = NoiseSchedule()
-    with np.load(OFFICIAL) as official:
+    with np.load(shared_path("fixtures", "official", "ddim_schedule.npz")) as official:
         # Their table is a product in float32, ours in float64.
         np.testing.assert_allclose(schedule.alphas_cumprod, official["alphas_cumprod"], atol=5e-7, rtol=0)
         for steps in (10, 15, 20, 50, 100, 300, 400):

@@ -10,8 +10,6 @@ import numpy as np
 from kinegraph.motion.skeleton import PARENTS
 from kinegraph_training.prepare import PrepareOptions, clip_joints
 
-SHARED = Path(__file__).resolve().parents[3] / "shared"
-
 # Offsets in centimetres, facing +Z, in the order of the 22 joints.
 OFFSETS = np.array(
     [

@@ -4,16 +4,13 @@ hand; how solved joints turn."""
 from __future__ import annotations
 
 from itertools import pairwise
-from pathlib import Path
 
 import numpy as np
-import pytest
 
 from kinegraph.motion.kinematics import CHILDREN, rotations_from_positions
 from kinegraph.motion.quaternions import multiply, normalised, shortest_rotation
 from kinegraph.motion.skeleton import PARENTS
-
-SHARED = Path(__file__).resolve().parents[3] / "shared"
+from support.shared import shared_path
 
 # Parent, and offset from it in metres, in the order of the 22 joints; standing with the arms out, facing +Z.
 BONES = (
@@ -167,9 +164,7 @@ def largest_twist(joints: np.ndarray, fps: float = 20.0) -> float:
 def recorded(source: str = "bandai", count: int | None = None, split: str = "val") -> list[np.ndarray]:
     """Recorded clips (frames, 22, 3) as the data has them, about `count` spread over the split; the test is skipped
     where they are not at hand."""
-    path = SHARED / "data" / source / f"{split}.npz"
-    if not path.is_file():
-        pytest.skip("recorded motion (../shared/data) is not at hand")
+    path = shared_path("data", source, f"{split}.npz")
     with np.load(path, allow_pickle=False) as pack:
         offsets, joints, root, scale = pack["offsets"], pack["joints"], pack["root_xz"], pack["scale"]
     metres = joints.astype(np.float32) * scale

@@ -8,7 +8,8 @@ import re
 import numpy as np
 import pytest
 
-from support.motions import SHARED, recorded, walk
+from support.motions import recorded, walk
+from support.shared import shared_path
 
 pytest.importorskip("torch")
 
@@ -151,9 +152,7 @@ def test_a_mirrored_clip_is_mirrored_in_all_its_parts() -> None:
 
 @pytest.mark.parametrize("source", ["bandai", "cmu"])
 def test_captions_of_the_data_change_exactly_their_sides(source: str) -> None:
-    path = SHARED / "data" / source / "captions.jsonl"
-    if not path.is_file():
-        pytest.skip("recorded motion (../shared/data) is not at hand")
+    path = shared_path("data", source, "captions.jsonl")
     rows = [json.loads(line) for line in path.read_text(encoding="utf-8").splitlines()]
     captions = [caption for row in rows for caption in row["captions"]]
     changed = 0
@@ -172,9 +171,7 @@ def test_captions_of_the_data_change_exactly_their_sides(source: str) -> None:
 
 def test_recorded_turns_agree_with_their_captions_in_the_image_as_well() -> None:
     # The sign of turning and the word must change together; either alone would teach the wrong side.
-    if not (SHARED / "data" / "bandai" / "val.npz").is_file():
-        pytest.skip("recorded motion (../shared/data) is not at hand")
-    clips = [clip for clip in read_split(SHARED / "data" / "bandai", "val") if clip.content == "walk-turn-left"]
+    clips = [clip for clip in read_split(shared_path("data", "bandai"), "val") if clip.content == "walk-turn-left"]
     assert clips
     turns = []
     for clip in clips:

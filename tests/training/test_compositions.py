@@ -8,7 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from support.motions import SHARED, posed, turn, walk
+from support.motions import posed, turn, walk
+from support.shared import shared_path
 
 pytest.importorskip("torch")
 
@@ -134,11 +135,9 @@ def test_the_seed_decides() -> None:
 
 
 def test_the_real_list_is_obeyed_on_real_clips() -> None:
-    path = SHARED / "data" / "held_out_pairs.json"
-    if not path.is_file():
-        pytest.skip("recorded motion (../shared/data) is not at hand")
+    path = shared_path("data", "held_out_pairs.json")
     held_out = HeldOut.read(path)
-    clips = read_split(SHARED / "data" / "bandai", "train")
+    clips = read_split(shared_path("data", "bandai"), "train")
     listed = json.loads(path.read_text(encoding="utf-8"))
     together = {frozenset(pair) for pair in listed["together"]}
     together |= {frozenset(map(mirrored_label, pair)) for pair in listed["together"]}

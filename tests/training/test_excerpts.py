@@ -7,7 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from support.motions import SHARED, walk
+from support.motions import walk
+from support.shared import shared_path
 
 pytest.importorskip("torch")
 
@@ -57,9 +58,7 @@ def test_manners_that_were_never_recorded_turning_are_told_apart() -> None:
 
 
 def test_a_preset_asks_for_them(tmp_path: Path) -> None:
-    data, held = SHARED / "data" / "bandai", SHARED / "data" / "held_out_pairs.json"
-    if not data.is_dir():
-        pytest.skip("recorded motion (../shared/data) is not at hand")
+    data, held = shared_path("data", "bandai"), shared_path("data", "held_out_pairs.json")
     without, more = (
         training_clips(data, DataConfig(splices=0, sequences=0, excerpts=count, paces=count // 2), held)
         for count in (0, 20)

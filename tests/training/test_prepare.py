@@ -17,9 +17,7 @@ from kinegraph_training.data.clips import read_split
 from kinegraph_training.data.folder import split_of
 from kinegraph_training.prepare import PrepareOptions, clip_joints, main, prepare
 from support.bvh_files import bvh_text, folder_of, prepared
-
-SHARED = Path(__file__).resolve().parents[3] / "shared"
-
+from support.shared import shared_path
 
 GOOD = bvh_text()[0]
 
@@ -100,9 +98,7 @@ def test_a_folder_becomes_training_data(tmp_path: Path, capsys: pytest.CaptureFi
 
 
 def test_our_own_files_come_back(tmp_path: Path) -> None:
-    path = SHARED / "data" / "bandai" / "val.npz"
-    if not path.is_file():
-        pytest.skip("recorded motion (../shared/data) is not at hand")
+    path = shared_path("data", "bandai", "val.npz")
     for clip in read_split(path.parent, "val")[::16]:
         saved = Clip(joints=clip.joints, fps=20.0, seed=0, text="x", bundle="b")
         saved.save(tmp_path / f"{clip.id}.bvh")

@@ -16,8 +16,7 @@ from kinegraph_training.data.bvh import joint_positions, parse_bvh, resampled
 from kinegraph_training.data.retargeting import TABLES, joint_map, map_joints, plain_name, read_map
 from kinegraph_training.prepare import unit_of
 from support.bvh_files import MIXAMO, bvh_text, prepared
-
-SHARED = Path(__file__).resolve().parents[3] / "shared"
+from support.shared import shared_path
 
 
 @pytest.mark.parametrize("order", ["".join(axes) for axes in permutations("XYZ")])
@@ -123,9 +122,7 @@ def bones_of(source: dict[str, object]) -> tuple[str, ...]:
 
 @pytest.mark.parametrize("key", ["bandai", "cmu"])
 def test_maps_agree_with_those_of_the_data(key: str) -> None:
-    path = SHARED / "data" / "skeletons.json"
-    if not path.is_file():
-        pytest.skip("the data's own maps (../shared/data) are not at hand")
+    path = shared_path("data", "skeletons.json")
     source = json.loads(path.read_text())[key]
     found = joint_map(bones_of(source)).sources
     expected = {joint: name for joint, name in source["map_to_22"].items() if "midpoint" not in name}
