@@ -1,7 +1,7 @@
-"""How fast a bundle is on this machine: `kinegraph bench`.
+"""Measure how fast a bundle is on this machine: `kinegraph bench`.
 
-Stages are timed around the sessions of a pipeline that is otherwise the one everybody uses; what remains of a level's
-time is numpy. Cold start and peak memory are those of fresh processes.
+Stages are timed around the sessions of an ordinary pipeline; the rest of a level's time is numpy. Cold start and peak
+memory are those of fresh processes.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ INT8_PRODUCTS: Final = {
     "avx2": "AVX2",
     "asimddp": "dot products",
 }
-"""Flags of /proc/cpuinfo that say what int8 steps run on, the fastest first."""
+"""Flags of /proc/cpuinfo that tell which instructions int8 steps use, the fastest first."""
 
 GRAPH: Final = SemanticGraph(
     "a person walks forward and waves the right hand",
@@ -48,7 +48,7 @@ GRAPH: Final = SemanticGraph(
         Action("waves", 27, 32, 1, arguments=(Argument("ARG1", "the right hand", 33, 47),)),
     ),
 )
-"""What is timed: as long a sentence as people type."""
+"""The sentence that is timed: as long as people type."""
 
 # Prints the peak of its resident memory; VmHWM, because ru_maxrss also counts the process that started this one.
 _FIRST_CLIP: Final = """
@@ -66,16 +66,17 @@ sys.exit(code)
 
 @dataclass(frozen=True)
 class ColdStart:
-    """A fresh process from its start to a written file."""
+    """A fresh process, from its start to a written file."""
 
     milliseconds: tuple[float, ...]
+    """Of every repeat."""
     peak_bytes: int | None
-    """Most resident memory; None where the system does not tell."""
+    """Peak resident memory; None where the system does not tell."""
 
 
 @dataclass(frozen=True)
 class BenchReport:
-    """What was measured; every repeat is kept."""
+    """All measurements of one `bench`; every repeat is kept."""
 
     machine: Mapping[str, Any]
     bundle: str
@@ -85,9 +86,9 @@ class BenchReport:
     seconds: float
     """Length of the clip."""
     stages: Mapping[str, tuple[float, ...]]
-    """Milliseconds; "parse" is missing where spaCy is, "total" is all of a repeat."""
+    """Milliseconds of every repeat by stage; "parse" is missing without spaCy, "total" is the whole clip."""
     idle_cpu: float
-    """Share of a core that is used while nothing is asked for."""
+    """Share of one core that idle sessions use."""
     cold: Mapping[str, ColdStart]
     """"graph": from a graph in JSON; "sentence": with the parser."""
 
@@ -95,7 +96,7 @@ class BenchReport:
 def bench(
     path: Path | None = None, *, seconds: float = 4.0, repeats: int = 30, threads: int | None = None, cold: int = 3
 ) -> BenchReport:
-    """Measure a bundle.
+    """Time the stages of clips, cold starts and idle sessions of a bundle.
 
     Args:
         path: folder of the bundle; None is the one that comes with the package.
@@ -107,28 +108,29 @@ def bench(
     Raises:
         BundleError, InvalidInputError: as `MotionPipeline.load` and `generate`.
     """
-    watch = _Watch()
-    pipe = watch.pipeline(MotionPipeline.load(path, threads=threads))
-    parses = _parses(pipe)
-    rows = [_clip(pipe, watch, seconds, parses) for _ in range(WARM_UP + repeats)][WARM_UP:]
+    timer = _StageTimer()
+    pipe = timer.wrap(MotionPipeline.load(path, threads=threads))
+    parses = _can_parse(pipe)
+    rows = [_time_clip(pipe, timer, seconds, parses) for _ in range(WARM_UP + repeats)][WARM_UP:]
     return BenchReport(
         machine=machine(),
         bundle=f"{pipe.manifest.name} {pipe.manifest.version}",
         precision=pipe.manifest.precision,
-        threads=watch.threads,
+        threads=timer.threads,
         seconds=seconds,
         stages={name: tuple(row[name] for row in rows) for name in rows[0]},
-        idle_cpu=_idle(),
+        idle_cpu=_measure_idle(),
         cold={
-            name: _cold_start(path, seconds, name, cold) for name in (["graph", "sentence"] if parses else ["graph"])
+            name: _measure_cold_start(path, seconds, name, cold)
+            for name in (["graph", "sentence"] if parses else ["graph"])
         },
     )
 
 
 def machine() -> dict[str, Any]:
-    """What times depend on."""
+    """Describe the machine and the versions that times depend on."""
     return {
-        "cpu": _cpu(),
+        "cpu": _cpu_name(),
         "cpus": available_cpus(),
         "load": [round(value, 2) for value in os.getloadavg()] if hasattr(os, "getloadavg") else None,
         "system": f"{platform.system()} {platform.machine()}",
@@ -139,14 +141,14 @@ def machine() -> dict[str, Any]:
     }
 
 
-def table(report: BenchReport) -> str:
-    """For people."""
-    own = report.machine
+def text_table(report: BenchReport) -> str:
+    """Lay out a report as text for people."""
+    facts = report.machine
     lines = [
         f"{report.bundle} ({report.precision}), a clip of {report.seconds:g} s; threads: steps "
         f"{report.threads['steps']}, others {report.threads['others']}",
-        f"{own['cpu']}, {own['cpus']} CPUs, load {own['load']}; {own['system']}, Python {own['python']}, "
-        f"numpy {own['numpy']}, onnxruntime {own['onnxruntime']}",
+        f"{facts['cpu']}, {facts['cpus']} CPUs, load {facts['load']}; {facts['system']}, Python {facts['python']}, "
+        f"numpy {facts['numpy']}, onnxruntime {facts['onnxruntime']}",
         "",
         f"{'ms':<10}{'p50':>8}{'p90':>8}{'p99':>8}{'min':>8}",
     ]
@@ -164,16 +166,17 @@ def table(report: BenchReport) -> str:
     return "\n".join(lines)
 
 
-class _Watch:
-    """Notes when the calls of a pipeline's parts begin and end."""
+class _StageTimer:
+    """Records when the calls of a pipeline's resources begin and end."""
 
     def __init__(self) -> None:
         self.events: list[tuple[str, float, float]] = []
         self.threads: dict[str, int] = {}
 
-    def pipeline(self, inner: MotionPipeline) -> MotionPipeline:
-        """The same bundle, watched."""
-        sessions, tokenizer = inner._sessions, self._around(inner._tokenizer, "encode", "tokens")
+    def wrap(self, inner: MotionPipeline) -> MotionPipeline:
+        """Make a pipeline of the same bundle whose sessions and tokenizer are timed."""
+        sessions = inner.sampler.sessions
+        tokenizer = self._around(inner.encoder.tokenizer, "encode", "tokens")
         self.threads = {"steps": _threads(sessions.step[LEVELS[0]]), "others": _threads(sessions.decoder)}
         watched = replace(
             sessions,
@@ -181,14 +184,14 @@ class _Watch:
             graph_encoder=self._around(sessions.graph_encoder, "run", "graph"),
             decoder=self._around(sessions.decoder, "run", "decode"),
         )
-        return MotionPipeline(inner.manifest, watched, tokenizer, inner._tables, inner._parser)
+        return MotionPipeline(inner.manifest, watched, tokenizer, inner.encoder.tables, inner.parser)
 
     def _around(self, inner: Any, method: str, name: str) -> Any:
-        return _Watched(inner, method, name, self.events)
+        return _TimedMethod(inner, method, name, self.events)
 
 
-class _Watched:
-    """Stands for an object, one of whose methods is timed."""
+class _TimedMethod:
+    """Proxy of an object, one of whose methods is timed."""
 
     def __init__(self, inner: Any, method: str, name: str, events: list[tuple[str, float, float]]) -> None:
         self._inner, self._name, self._events = inner, name, events
@@ -196,16 +199,16 @@ class _Watched:
 
     def _timed(self, call: Any, arguments: Sequence[Any]) -> Any:
         start = time.perf_counter()
-        found = call(*arguments)
+        result = call(*arguments)
         self._events.append((self._name, start, time.perf_counter()))
-        return found
+        return result
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self._inner, name)
 
 
-def _parses(pipe: MotionPipeline) -> bool:
-    """Whether sentences can be parsed here; without spaCy or a parser all else can still be timed."""
+def _can_parse(pipe: MotionPipeline) -> bool:
+    """Tell whether sentences can be parsed here; without spaCy or a parser all else can still be timed."""
     try:
         pipe.parse(GRAPH.caption)
     except MissingExtraError:
@@ -217,47 +220,47 @@ def _parses(pipe: MotionPipeline) -> bool:
     return True
 
 
-def _clip(pipe: MotionPipeline, watch: _Watch, seconds: float, parses: bool) -> dict[str, float]:
-    """Milliseconds of every stage of one clip."""
-    watch.events.clear()
+def _time_clip(pipe: MotionPipeline, timer: _StageTimer, seconds: float, parses: bool) -> dict[str, float]:
+    """Make one clip and return the milliseconds of every stage."""
+    timer.events.clear()
     level_ends: dict[str, float] = {}
     begin = time.perf_counter()
     graph = pipe.parse(GRAPH.caption) if parses else GRAPH
     parsed = time.perf_counter()
 
-    def note(info: StepInfo) -> None:
+    def note_level_end(info: StepInfo) -> None:
         level_ends[info.level] = time.perf_counter()
 
-    clip = pipe.generate(graph, seconds=seconds, seed=1, on_step=note)
+    clip = pipe.generate(graph, seconds=seconds, seed=1, on_step=note_level_end)
     made = time.perf_counter()
     with tempfile.TemporaryDirectory() as folder:
         writing = time.perf_counter()
         clip.save(Path(folder) / "clip.bvh")
         written = time.perf_counter() - writing
-    found = {name: end - start for name, start, end in watch.events}
-    ends = {name: end for name, _, end in watch.events}
+    durations = {name: end - start for name, start, end in timer.events}
+    ends = {name: end for name, _, end in timer.events}
     marks = [ends["graph"], *(level_ends[level] for level in LEVELS)]
-    found |= {level: after - before for level, before, after in zip(LEVELS, marks, marks[1:], strict=False)}
-    found |= {"joints": made - ends["decode"], "write": written, "parse": parsed - begin}
-    stages = {name: 1000.0 * found[name] for name in STAGES if parses or name != "parse"}
+    durations |= {level: after - before for level, before, after in zip(LEVELS, marks, marks[1:], strict=False)}
+    durations |= {"joints": made - ends["decode"], "write": written, "parse": parsed - begin}
+    stages = {name: 1000.0 * durations[name] for name in STAGES if parses or name != "parse"}
     return {**stages, "total": 1000.0 * (made - begin + written)}
 
 
-def _idle() -> float:
-    """Share of one core that sleeping sessions use."""
+def _measure_idle() -> float:
+    """Measure the share of one core that idle sessions use."""
     start = time.process_time()
     time.sleep(IDLE_SECONDS)
     return (time.process_time() - start) / IDLE_SECONDS
 
 
-def _cold_start(path: Path | None, seconds: float, kind: str, repeats: int) -> ColdStart:
+def _measure_cold_start(path: Path | None, seconds: float, kind: str, repeats: int) -> ColdStart:
     times, peaks = [], []
     with tempfile.TemporaryDirectory() as folder:
         graph, target = Path(folder) / "graph.json", Path(folder) / "clip.bvh"
         graph.write_text(GRAPH.to_json(), encoding="utf-8")
-        wish = ["--graph", str(graph)] if kind == "graph" else [GRAPH.caption]
+        text = ["--graph", str(graph)] if kind == "graph" else [GRAPH.caption]
         more = [] if path is None else ["--bundle", str(path)]
-        words = ["generate", *wish, *more, "-o", str(target), "--seconds", str(seconds), "--force", "--quiet"]
+        words = ["generate", *text, *more, "-o", str(target), "--seconds", str(seconds), "--force", "--quiet"]
         for _ in range(repeats):
             start = time.perf_counter()
             done = subprocess.run([sys.executable, "-c", _FIRST_CLIP, *words], capture_output=True, check=False)
@@ -272,11 +275,11 @@ def _threads(session: onnxruntime.InferenceSession) -> int:
     return int(session.get_session_options().intra_op_num_threads)
 
 
-def _cpu(cpuinfo: Path = Path("/proc/cpuinfo")) -> str:
-    """Model and the best of its `INT8_PRODUCTS`, which clouds' names of models do not tell."""
+def _cpu_name(cpuinfo: Path = Path("/proc/cpuinfo")) -> str:
+    """Name the CPU model and the fastest of its `INT8_PRODUCTS`: model names in clouds do not tell these."""
     lines = cpuinfo.read_text().splitlines() if cpuinfo.is_file() else []
-    found = dict(re.split(r"\s*:\s*", line, maxsplit=1) for line in reversed(lines) if ":" in line)
-    flags = found.get("flags", found.get("Features", "")).split()
+    fields = dict(re.split(r"\s*:\s*", line, maxsplit=1) for line in reversed(lines) if ":" in line)
+    flags = fields.get("flags", fields.get("Features", "")).split()
     best = next((name for flag, name in INT8_PRODUCTS.items() if flag in flags), None)
-    model = found.get("model name", platform.machine())
+    model = fields.get("model name", platform.machine())
     return f"{model} ({best})" if best else model

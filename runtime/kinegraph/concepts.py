@@ -1,11 +1,19 @@
-"""What a composition is made of, checked before any model runs."""
+"""What is sampled: one graph, or a composition of concepts, validated before any model runs.
+
+    Concept, ...  --validate_composition-->  CompositionSpec   what the caller asked for
+    CompositionSpec or a graph  -->  SamplingPlan              graphs without edge weights, and their CompositionWeights
+    CompositionWeights  --diffusion.composition.plan_rows-->  RowPlan          the predictions of each step (Eq. 7-10)
+
+A weight on an edge of a graph is a composition too: `weighted_edge_terms` expands it into graphs with and without the
+node that the edge leads to.
+"""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import chain
+from itertools import accumulate, chain
 from numbers import Real
 from typing import Any, Final
 
@@ -18,26 +26,40 @@ from kinegraph.text.parser import check_caption
 
 METHODS: Final = ("latent", "semantic", "fused")
 DEFAULT_LAMBDAS: Final = (0.0, 0.1, 0.9)
-"""Latent-aware, semantic-aware, joint text. EnergyMoGen (section 4.1) has 0.1, 0.7, 0.2; on 12 pairs that training
-never joined both actions happen in 98 % of 120 clips with these, in 54 % with those, in 98 % by the joint text alone
+"""Shares of the latent-aware, semantic-aware and joint-text terms.
+
+EnergyMoGen (section 4.1) has 0.1, 0.7, 0.2. On 12 pairs that training never joined, both actions happen in 98 % of 120
+clips with the default, in 54 % with those, and in 98 % by the joint text alone
 (`kinegraph_benchmarks.quality.composition_settings`).
 """
 NEGATION_WEIGHT: Final = -1.0
-"""Default weight of what must not happen: where a sentence names two actions it takes .92 of the clips of one and
-.08 of the other's; -0.5 takes .15. It also takes what the unwanted has in common with the wanted: "not runs" leaves
-.20 of the walks, and at -0.3 .95 (`kinegraph_benchmarks.quality.composition_settings`)."""
+"""Default weight of what must not happen.
+
+At -1, negating one of two actions that a sentence names suppresses it in 92 % of clips and costs 8 % of the other; at
+-0.5 it suppresses 15 %. It also takes what the unwanted has in common with the wanted: "not runs" leaves 20 % of the
+walks, and 95 % at -0.3 (`kinegraph_benchmarks.quality.composition_settings`).
+"""
 MAX_STEP_SIZE: Final = 1.0
-"""Of adaptive gradient descent. At 0.1 EnergyMoGen's motions are spoilt (Table 9) and the default bundle's are nearest
-to captured ones (`kinegraph_benchmarks.quality.composition_settings`)."""
+"""Largest step size of adaptive gradient descent.
+
+At 0.1 EnergyMoGen's motions are spoilt (Table 9), and the default bundle's are nearest to ground truth
+(`kinegraph_benchmarks.quality.composition_settings`).
+"""
 MAX_WEIGHT: Final = 10.0
 MIN_SUM: Final = 0.05
 MAX_RATIO: Final = 5.0
-"""Eq. 9 divides by the sum of the weights: a small or negative one flips or inflates every sign."""
+"""Eq. 9 divides by the sum of the weights: a small or negative sum flips or inflates every sign."""
+UPWEIGHT_GAIN: Final = 0.4
+"""Slope of an edge weight beyond 1.
+
+At twice a node's own prediction and more, motions leave what a model knows, and a turn or a speed falls again
+(`kinegraph_benchmarks.quality.edit_curves`).
+"""
 
 
 @dataclass(frozen=True)
 class Concept:
-    """One motion of a composition.
+    """One motion of a composition, with its weight.
 
     Raises:
         InvalidInputError: no text and no graph, or a weight that is 0, not finite, or beyond 10.
@@ -46,7 +68,7 @@ class Concept:
     text: str | SemanticGraph
     """A sentence, or its graph."""
     weight: float = 1.0
-    """How much of it; negative for what must not happen."""
+    """w_i of Eq. 7 to 9; negative for what must not happen."""
 
     def __post_init__(self) -> None:
         if not isinstance(self.text, SemanticGraph):
@@ -62,12 +84,12 @@ class Concept:
 
     @property
     def caption(self) -> str:
-        """Its sentence."""
+        """The sentence of the concept."""
         return self.text.caption if isinstance(self.text, SemanticGraph) else self.text
 
 
 def validate_concepts(concepts: object) -> tuple[Concept, ...]:
-    """A list of concepts; plain sentences and graphs count with weight 1.
+    """Check a list of concepts; plain sentences and graphs get weight 1.
 
     Raises:
         InvalidInputError: none, too many, or only negations.
@@ -76,44 +98,36 @@ def validate_concepts(concepts: object) -> tuple[Concept, ...]:
         raise InvalidInputError("concepts must be a list of Concept(text, weight)")
     if not 1 <= len(concepts) <= MAX_CONCEPTS:
         raise InvalidInputError(f"a composition has 1 to {MAX_CONCEPTS} concepts, not {len(concepts)}")
-    found = tuple(item if isinstance(item, Concept) else Concept(item) for item in concepts)
-    if all(concept.weight < 0 for concept in found):
+    checked = tuple(item if isinstance(item, Concept) else Concept(item) for item in concepts)
+    if all(concept.weight < 0 for concept in checked):
         raise InvalidInputError("all concepts are negated; add one with a positive weight: what should happen instead")
-    return found
+    return checked
 
 
 @dataclass(frozen=True)
 class CompositionSpec:
-    """What one call composes."""
+    """What one call composes, validated."""
 
     concepts: tuple[Concept, ...]
-    """Of the terms of Eq. 7 to 9."""
+    """Concepts of Eq. 7 to 9."""
     negated: tuple[Concept, ...]
-    """Of Eq. 8, beside the terms of Eq. 10."""
+    """Negated concepts of Eq. 8, beside the terms of Eq. 10."""
     joint: str | SemanticGraph
+    """Joint text of Eq. 10."""
     lambdas: tuple[float, float, float]
     """Shares of the latent-aware, semantic-aware and joint-text terms."""
     agd: tuple[float, float]
-    """Step sizes gamma_attn and gamma_reg; 0, 0 is without adaptive gradient descent."""
+    """Step sizes gamma_attn and gamma_reg of adaptive gradient descent (Eq. 3, 4); (0, 0) switches it off."""
 
     @property
-    def parts(self) -> list[tuple[str | SemanticGraph, float]]:
-        """Sentences or graphs with their weights, in the order of a `CompositionWeights`."""
-        joint = [(self.joint, 1.0)] if self.lambdas[2] else []
-        around = ([(concept.text, concept.weight) for concept in group] for group in (self.concepts, self.negated))
-        return [*next(around), *joint, *next(around)]
-
-    def mixture(self, shares: Sequence[Sequence[float]]) -> CompositionWeights:
-        """Weights of the graphs that stand for each part (`edits.weighted_edge_terms`), given their shares of it."""
-        weights = [tuple(weight * share for share in own) for (_, weight), own in zip(self.parts, shares, strict=True)]
-        first, last = len(self.concepts), len(weights) - len(self.negated)
-        slices = (slice(first), slice(first, last), slice(last, None))
-        concepts, joint, negated = (tuple(chain.from_iterable(weights[part])) for part in slices)
-        return CompositionWeights(concepts, joint, negated, self.lambdas, self.agd)
+    def texts(self) -> list[str | SemanticGraph]:
+        """All sentences or graphs: concepts, the joint text if it has a share, negated concepts."""
+        joint = [self.joint] if self.lambdas[2] else []
+        return [*(concept.text for concept in self.concepts), *joint, *(concept.text for concept in self.negated)]
 
 
 def validate_composition(concepts: object, method: object, text: Any, lambdas: object, agd: object) -> CompositionSpec:
-    """All that says what is composed.
+    """Check everything that says what is composed.
 
     A negated concept counts by Eq. 8, with its own weight whatever the lambdas; only "semantic" alone negates inside
     the mean of Eq. 9.
@@ -123,17 +137,17 @@ def validate_composition(concepts: object, method: object, text: Any, lambdas: o
             "fused", shares that are no three numbers from 0 to 1 with sum 1, weights that Eq. 9 cannot divide by, or
             step sizes that are no two numbers from 0 to 1.
     """
-    found = validate_concepts(concepts)
-    wanted = found if method == "semantic" else tuple(concept for concept in found if concept.weight > 0)
-    negated = () if method == "semantic" else tuple(concept for concept in found if concept.weight < 0)
+    checked = validate_concepts(concepts)
+    wanted = checked if method == "semantic" else tuple(concept for concept in checked if concept.weight > 0)
+    negated = () if method == "semantic" else tuple(concept for concept in checked if concept.weight < 0)
     shares = validate_lambdas(method, lambdas, text, wanted)
-    joint = joint_caption(found) if text is None else text
+    joint = joint_caption(checked) if text is None else text
     if not isinstance(joint, SemanticGraph):
         check_caption(joint)
-    return CompositionSpec(wanted, negated, joint, shares, _step_sizes(agd))
+    return CompositionSpec(wanted, negated, joint, shares, _validate_step_sizes(agd))
 
 
-def _step_sizes(agd: object) -> tuple[float, float]:
+def _validate_step_sizes(agd: object) -> tuple[float, float]:
     if agd is None:
         return 0.0, 0.0
     wrong = f"agd must be two step sizes from 0 to {MAX_STEP_SIZE:g}, like (0.0004, 0.0004), not {agd!r}"
@@ -149,13 +163,17 @@ def _step_sizes(agd: object) -> tuple[float, float]:
 def validate_lambdas(
     method: object, lambdas: object, text: object, concepts: Sequence[Concept]
 ) -> tuple[float, float, float]:
-    """Shares of the latent-aware, semantic-aware and joint-text terms; raises as `validate_composition`."""
+    """Check the method and the shares of the latent-aware, semantic-aware and joint-text terms.
+
+    Raises:
+        InvalidInputError: see `validate_composition`.
+    """
     if method not in METHODS:
         raise InvalidInputError(f"method must be one of {', '.join(METHODS)}, not {method!r}")
     for name, value in (("lambdas", lambdas), ("text", text)):
         if value is not None and method != "fused":
             raise InvalidInputError(f"{name} is for method 'fused'; method {method!r} has none")
-    shares = {"latent": (1.0, 0.0, 0.0), "semantic": (0.0, 1.0, 0.0), "fused": _shares(lambdas)}[str(method)]
+    shares = {"latent": (1.0, 0.0, 0.0), "semantic": (0.0, 1.0, 0.0), "fused": _validate_shares(lambdas)}[str(method)]
     if shares[1]:
         total = sum(concept.weight for concept in concepts)
         size = sum(abs(concept.weight) for concept in concepts)
@@ -168,7 +186,7 @@ def validate_lambdas(
     return shares
 
 
-def _shares(lambdas: object) -> tuple[float, float, float]:
+def _validate_shares(lambdas: object) -> tuple[float, float, float]:
     if lambdas is None:
         return DEFAULT_LAMBDAS
     wrong = f"lambdas must be three numbers from 0 to 1 that sum to 1, not {lambdas!r}"
@@ -184,9 +202,9 @@ def _shares(lambdas: object) -> tuple[float, float, float]:
 
 
 def joint_caption(concepts: Sequence[Concept]) -> str | SemanticGraph:
-    """One sentence for all that should happen; a single positive concept speaks for itself, edits included.
+    """Join all positive concepts to one sentence; a single one stands for itself, with its edits.
 
-    The models never saw a negation in a caption, so negated concepts are not named.
+    Negated concepts are not named: the models never saw a negation in a caption.
     """
     positive = [concept for concept in concepts if concept.weight > 0]
     captions = list(dict.fromkeys(concept.caption.strip().rstrip(".!;, ") for concept in positive))
@@ -195,21 +213,82 @@ def joint_caption(concepts: Sequence[Concept]) -> str | SemanticGraph:
     return " while ".join(captions)
 
 
-UPWEIGHT_GAIN: Final = 0.4
-"""What a weight counts beyond 1: at twice a node's own prediction and more, motions leave what a model knows, and a
-turn or a speed falls again (`kinegraph_benchmarks.quality.edit_curves`)."""
+@dataclass(frozen=True)
+class SamplingPlan:
+    """The graphs that one clip is sampled from, and the weights of their noise predictions."""
+
+    graphs: tuple[SemanticGraph, ...]
+    """Without edge weights, in the order of the weights."""
+    weights: CompositionWeights
+    length_from: tuple[int, ...]
+    """Indices of the graphs whose sentences tell the length of the clip."""
+
+    @property
+    def is_plain(self) -> bool:
+        """Whether plain guidance is all there is to it (Eq. A): one graph without weighted edges."""
+        return self.weights == CompositionWeights((1.0,))
+
+    @staticmethod
+    def for_graph(graph: SemanticGraph) -> SamplingPlan:
+        """Plan for one graph: one term, or more where its edges are weighted.
+
+        Raises:
+            InvalidGraphError: every action has weight 0.
+        """
+        graphs, coefficients = zip(*weighted_edge_terms(graph), strict=True)
+        return SamplingPlan(graphs, CompositionWeights(coefficients), (0,))
+
+    @staticmethod
+    def for_composition(spec: CompositionSpec, graphs: Sequence[SemanticGraph]) -> SamplingPlan:
+        """Plan for a composition; the concepts that should happen tell the length.
+
+        Args:
+            spec: what is composed.
+            graphs: of its `texts`.
+
+        Raises:
+            InvalidGraphError: every action of a graph has weight 0.
+        """
+        terms = [weighted_edge_terms(graph) for graph in graphs]
+        first_negated = len(graphs) - len(spec.negated)
+        joint_weights = [1.0] * (first_negated - len(spec.concepts))
+        part_weights = [
+            *(concept.weight for concept in spec.concepts),
+            *joint_weights,
+            *(concept.weight for concept in spec.negated),
+        ]
+        scaled = [
+            [weight * coefficient for _, coefficient in part] for weight, part in zip(part_weights, terms, strict=True)
+        ]
+        concepts, joint, negated = (
+            tuple(chain.from_iterable(parts))
+            for parts in (
+                scaled[: len(spec.concepts)],
+                scaled[len(spec.concepts) : first_negated],
+                scaled[first_negated:],
+            )
+        )
+        first_terms = accumulate((len(part) for part in terms), initial=0)
+        length_from = tuple(
+            index for index, concept in zip(first_terms, spec.concepts, strict=False) if concept.weight > 0
+        )
+        all_graphs = tuple(graph for part in terms for graph, _ in part)
+        return SamplingPlan(
+            all_graphs, CompositionWeights(concepts, joint, negated, spec.lambdas, spec.agd), length_from
+        )
 
 
 def weighted_edge_terms(graph: SemanticGraph) -> list[tuple[SemanticGraph, float]]:
-    """Graphs whose edges all weigh 1, with the coefficients by which their predictions make up that of `graph`.
+    """Expand a weighted graph into unweighted graphs plus the coefficients that recombine their noise predictions.
 
-    Each weight w_e scales what the model predicts because of that node, at every step of every level:
+    Each weight w_e scales what the model predicts because of the node that edge e leads to, at every step of every
+    level:
 
         eps(G, w) = eps(G') + sum_e (c(w_e) - 1) (eps(G') - eps(G' without e))
 
-    G' is G without the nodes of weight 0; c(w) = w up to 1, and 1 + (w - 1) STRENGTHENING beyond. This is EnergyMoGen's
-    latent-aware composition (Eq. 7, 8) of a graph and the same graph without a node. Coefficients sum to 1, but for a
-    weight on the only action: nothing is left without it, so it counts against no text at all.
+    G' is G without the nodes of weight 0; c(w) = w up to 1, and 1 + (w - 1) UPWEIGHT_GAIN beyond. This is EnergyMoGen's
+    latent-aware composition (Eq. 7, 8) of a graph and the same graph without a node. Coefficients sum to 1, except
+    where the only action is weighted: nothing is left without it, so it counts against no text at all.
 
     Raises:
         InvalidGraphError: every action has weight 0.
@@ -217,12 +296,12 @@ def weighted_edge_terms(graph: SemanticGraph) -> list[tuple[SemanticGraph, float
     while (absent := next((n for n, node in enumerate(graph.nodes, start=1) if node.weight == 0), None)) is not None:
         graph = without(graph, absent)
     plain = graph
-    turned = {number: node.weight - 1.0 for number, node in enumerate(graph.nodes, start=1) if node.weight != 1}
-    turned = {number: more * (UPWEIGHT_GAIN if more > 0 else 1.0) for number, more in turned.items()}
-    for number in turned:
+    changes = {number: node.weight - 1.0 for number, node in enumerate(graph.nodes, start=1) if node.weight != 1}
+    changes = {number: change * (UPWEIGHT_GAIN if change > 0 else 1.0) for number, change in changes.items()}
+    for number in changes:
         plain = with_weight(plain, number, 1.0)
-    terms = [(plain, 1.0 + sum(turned.values()))]
-    for number, more in turned.items():
+    terms = [(plain, 1.0 + sum(changes.values()))]
+    for number, change in changes.items():
         if not number == 1 == len(plain.actions):
-            terms.append((without(plain, number), -more))
+            terms.append((without(plain, number), -change))
     return terms

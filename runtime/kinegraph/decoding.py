@@ -1,4 +1,4 @@
-"""From a latent to joints in metres, and to clips."""
+"""From latents to clips: decoder, features to joints, bone lengths, foot locking."""
 
 from __future__ import annotations
 
@@ -19,58 +19,66 @@ from kinegraph.motion.humanml3d import joints_from_humanml3d
 from kinegraph.motion.postprocess import enforce_bone_lengths, lock_feet
 from kinegraph.options import GenerateOptions
 
-_TO_JOINTS: Final = {"joints-137": joints_from_features, "humanml3d-263": joints_from_humanml3d}
+_JOINTS_FROM: Final = {"joints-137": joints_from_features, "humanml3d-263": joints_from_humanml3d}
 
 
 @dataclass(frozen=True)
-class Decoders:
-    """From the latent of a level to clips."""
+class MotionDecoder:
+    """The decoders of a bundle, and the body whose bones it knows."""
 
     sessions: Sessions
     manifest: Manifest
     bones: FloatArray | None
-    """(21,) metres, as in `decode`."""
+    """(21,) metres, see `decode_joints`."""
 
-    def clips(
-        self, latent: FloatArray, wishes: Sequence[GenerateOptions], captions: Sequence[str], level: str = LEVELS[-1]
+    def decode(
+        self,
+        latents: FloatArray,
+        options: Sequence[GenerateOptions],
+        captions: Sequence[str],
+        level: str = LEVELS[-1],
     ) -> list[Clip]:
-        """Latents (B, C, z) of a level as B clips, their feet held where that is wished for."""
-        frames, fps = [each.frames for each in wishes], self.manifest.fps
-        motions = decode(self.sessions.decoder_of(level), self.manifest, self.bones, latent, frames)
+        """Decode latents (B, C, z) of a level into B clips; feet are locked where the options want it.
+
+        Raises:
+            NonFiniteError: the decoder produced NaN or infinity.
+        """
+        frames, fps = [sample.frames for sample in options], self.manifest.fps
+        motions = decode_joints(self.sessions.decoder_of(level), self.manifest, self.bones, latents, frames)
         bundle = f"{self.manifest.name} {self.manifest.version}"
         return [
-            Clip(lock_feet(joints, fps) if each.foot_fix else joints, fps, each.seed, caption, bundle)
-            for joints, each, caption in zip(motions, wishes, captions, strict=True)
+            Clip(lock_feet(joints, fps) if sample.foot_fix else joints, fps, sample.seed, caption, bundle)
+            for joints, sample, caption in zip(motions, options, captions, strict=True)
         ]
 
 
-def decode(
+def decode_joints(
     decoder: onnxruntime.InferenceSession,
     manifest: Manifest,
     bones: FloatArray | None,
-    latent: FloatArray,
+    latents: FloatArray,
     frames: Sequence[int],
 ) -> list[FloatArray]:
-    """Joints (frames, 22, 3) of every sample.
+    """Decode latents into joints (frames, 22, 3) of every sample: metres, Y up, facing +Z at the start.
 
     Args:
         decoder: session of the decoder.
         manifest: of its bundle.
         bones: (21,) metres that all bones get; None keeps each at its median length in the clip.
-        latent: (B, C, z) of the finest level.
+        latents: (B, C, z) of the decoder's level.
         frames: of each sample.
 
     Raises:
         NonFiniteError: the decoder produced NaN or infinity.
     """
     group = manifest.frames.per_token
-    longest = -(-max(frames) // group) * group
+    longest = -(-max(frames) // group) * group  # rounded up to whole groups of frames
     frame_mask = np.zeros((len(frames), longest), dtype=np.float32)
     for row, count in enumerate(frames):
         frame_mask[row, :count] = 1.0
-    (features,) = decoder.run(["features"], {"latent": latent, "frame_mask": frame_mask})
+    (normalised,) = decoder.run(["features"], {"latent": latents, "frame_mask": frame_mask})
     mean, std = (np.array(part, dtype=np.float32) for part in (manifest.features.mean, manifest.features.std))
-    raw = require_finite(features, "the decoder") * std + mean
-    to_joints = _TO_JOINTS[manifest.features.layout]
-    motions = [to_joints(rows[:count]) for rows, count in zip(raw, frames, strict=True)]
+    features = require_finite(normalised, "the decoder") * std + mean
+    joints_from = _JOINTS_FROM[manifest.features.layout]
+    motions = [joints_from(rows[:count]) for rows, count in zip(features, frames, strict=True)]
     return [enforce_bone_lengths(joints, bones) for joints in motions]

@@ -1,215 +1,353 @@
-"""The denoiser of one level, ready for the steps of one sample: what is constant over the steps is computed once.
+"""From conditions to latents: the denoising loop over three levels (GraphMotion, section 3.3).
 
-The three latent diffusion models (GraphMotion, section 3.3): motion, then action, then specific latent."""
+Motion, then action, then specific latent: each level is a DDIM run from its own noise, and sees the final latent of
+the level above among its conditions. `sample_hierarchy` is the loop; `LatentSampler` binds a bundle's models to it.
+
+    papers                                  here
+    z_t                                     latents (B, C, z) of B samples, C tokens of width z
+    z_T                                     diffusion.sampling.initial_noise
+    eps(z_t, c, t)                          NoisePredictor: R latent rows in one run of a level's step graph
+    eps_0 + s (eps_c - eps_0), Eq. A        GuidedPrediction, diffusion.sampling.guide
+    Eq. 7-10 (EnergyMoGen)                  ComposedPrediction, diffusion.composition
+    Eq. 3, 4 (EnergyMoGen)                  adaptive gradient descent: the step graphs "_agd", given step sizes gamma
+    z_{t-1}                                 diffusion.sampling.ddim_step
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
+from typing import Any
 
 import numpy as np
 import onnxruntime
-from numpy.typing import NDArray
 
-from kinegraph.arrays import FloatArray
+from kinegraph.arrays import FloatArray, IntArray
 from kinegraph.bundle.contract import LEVELS
 from kinegraph.bundle.manifest import Manifest
 from kinegraph.bundle.sessions import Sessions
-from kinegraph.conditioning import Conditions, drop_all, drop_text, for_level, stacked
-from kinegraph.diffusion.composition import AttentionRouting, CompositionWeights, combine_rows, plan_rows, step_sizes
+from kinegraph.conditioning import Conditions, drop_all, drop_text, for_level, stack_rows
+from kinegraph.diffusion.composition import (
+    AttentionRouting,
+    CompositionWeights,
+    agd_step_sizes,
+    combine_rows,
+    plan_rows,
+)
 from kinegraph.diffusion.sampling import (
     DdimCoefficients,
     LevelPlan,
-    OnLatent,
+    NoiseSchedule,
     OnStep,
-    Predict,
-    PredictorFor,
+    PredictNoise,
+    StepInfo,
+    ddim_coefficients,
+    ddim_step,
     guide,
     initial_noise,
-    sample_hierarchy,
 )
-from kinegraph.errors import InvalidInputError
+from kinegraph.errors import Cancelled, InvalidInputError, NonFiniteError
 from kinegraph.options import GenerateOptions
 
-RowNetwork = Callable[[FloatArray, int], FloatArray]
-"""(latents (R, C, z), step number) -> noise (R, C, z)."""
+MakePredictor = Callable[[str, DdimCoefficients, FloatArray | None], PredictNoise]
+"""(level, its DDIM coefficients, final latents of the level above) -> predictor of the level."""
+
+OnLatent = Callable[[str, FloatArray], None]
+"""Called after every level with its name and its final latents (B, C, z)."""
 
 
-def modulations(
-    clock: onnxruntime.InferenceSession, timesteps: NDArray[np.int64], frames: NDArray[np.int64]
-) -> FloatArray:
-    """Scales and shifts of every step and row: (K, R, m, d); timesteps (K,), frames (R,).
+def sample_hierarchy(
+    levels: Sequence[LevelPlan],
+    noise: Sequence[FloatArray],
+    make_predictor: MakePredictor,
+    schedule: NoiseSchedule,
+    on_step: OnStep | None = None,
+    on_latent: OnLatent | None = None,
+) -> tuple[FloatArray, ...]:
+    """Denoise the latents of all levels, coarse to fine.
 
-    (K, 1, m, d) where all rows are of one length: onnxruntime normalises faster by one scale than by one for each row.
+    Args:
+        levels: coarse to fine.
+        noise: z_T of each level, (B, C, z).
+        make_predictor: called once for each level.
+        schedule: of all levels.
+        on_step: called after every step; returning False stops.
+        on_latent: called after every level.
+
+    Returns:
+        Final latents (B, C, z) of each level.
+
+    Raises:
+        Cancelled: `on_step` returned False.
+        NonFiniteError: latents stopped being finite; names the level and the step.
+    """
+    done, total = 0, sum(level.steps for level in levels)
+    results: list[FloatArray] = []
+    for level, latents in zip(levels, noise, strict=True):
+        # 1. Timesteps and DDIM coefficients of this level
+        ddim = ddim_coefficients(schedule, level.steps)
+        # 2. All that is constant over the steps: keys and values, adaLN modulation, attention routing
+        predict_noise = make_predictor(level.name, ddim, results[-1] if results else None)
+        for index, timestep in enumerate(ddim.timesteps):
+            # 3. Noise prediction, guided and composed (Eq. A, 3, 4, 7-10)
+            prediction = predict_noise(latents, index)
+            # 4. DDIM step, z_t -> z_{t-1}
+            latents = ddim_step(latents, prediction, ddim, index)
+            if not np.isfinite(latents).all():
+                raise NonFiniteError(
+                    f"level {level.name}: the latent is not finite after step {index + 1}; "
+                    "the bundle's weights are broken"
+                )
+            # 5. Report; the caller may cancel
+            done += 1
+            info = StepInfo(level.name, index + 1, level.steps, done, total, int(timestep))
+            if on_step is not None and on_step(info) is False:
+                raise Cancelled(f"stopped by on_step at step {done} of {total}")
+        # 6. The next level sees the final latents of this one
+        results.append(latents)
+        if on_latent is not None:
+            on_latent(level.name, latents)
+    return tuple(results)
+
+
+@dataclass(frozen=True)
+class LatentSampler:
+    """The three latent diffusion models of a bundle."""
+
+    sessions: Sessions
+    manifest: Manifest
+
+    def sample(
+        self,
+        conditions: Conditions,
+        weights: CompositionWeights | None,
+        options: Sequence[GenerateOptions],
+        on_step: OnStep | None = None,
+        on_latent: OnLatent | None = None,
+    ) -> FloatArray:
+        """Sample latents of the finest level, (B, C, z), each sample from the noise of its own seed.
+
+        Args:
+            conditions: one row for each sample; or, with `weights`, the rows that one sample is composed of, in the
+                order of the weights' concepts, joint text and negated concepts.
+            weights: how the rows compose one sample (Eq. 7-10); None is plain guidance (Eq. A).
+            options: of each sample; all share steps and guidance.
+            on_step, on_latent: see `sample_hierarchy`.
+
+        Raises:
+            Cancelled, NonFiniteError: see `sample_hierarchy`.
+        """
+        levels = self.level_plans(options[0])
+        noise_of_samples = [initial_noise(sample.seed, levels) for sample in options]
+        noise = [np.stack(level) for level in zip(*noise_of_samples, strict=True)]
+        make_predictor = partial(self.predictor, conditions, weights, options)
+        return sample_hierarchy(levels, noise, make_predictor, self.schedule, on_step, on_latent)[-1]
+
+    def predictor(
+        self,
+        conditions: Conditions,
+        weights: CompositionWeights | None,
+        options: Sequence[GenerateOptions],
+        level: str,
+        ddim: DdimCoefficients,
+        coarse: FloatArray | None,
+    ) -> PredictNoise:
+        """Make the noise prediction of one level; keys, values and modulation are computed here, once.
+
+        Args:
+            conditions, weights, options: see `sample`.
+            level: its name.
+            ddim: of its run.
+            coarse: (B, C', z') final latents of the level above; None at the coarsest.
+        """
+        seen = for_level(conditions, self.manifest.levels[level].nodes)
+        if weights is None:
+            return self._guided(level, seen, options, ddim, coarse)
+        return self._composed(level, seen, weights, options[0], ddim, coarse)
+
+    @property
+    def schedule(self) -> NoiseSchedule:
+        """The noise schedule of all levels."""
+        return self.manifest.schedule.noise
+
+    def level_plans(self, options: GenerateOptions) -> list[LevelPlan]:
+        """List the levels with the steps that a call wants, coarse to fine."""
+        specs = {level: self.manifest.levels[level] for level in LEVELS}
+        return [LevelPlan(level, spec.tokens, spec.latent_width, options.steps[level]) for level, spec in specs.items()]
+
+    def validate_agd(self, agd: tuple[float, float]) -> None:
+        """Refuse step sizes of adaptive gradient descent if the bundle has no graphs for it.
+
+        Raises:
+            InvalidInputError: `agd` is not (0, 0) and there are none.
+        """
+        if any(agd) and not self.sessions.step_agd:
+            raise InvalidInputError(
+                f"bundle {self.manifest.name} {self.manifest.version} has no graphs for adaptive gradient descent: "
+                "leave agd out, or export the bundle again with this kinegraph"
+            )
+
+    def _guided(
+        self,
+        level: str,
+        seen: Conditions,
+        options: Sequence[GenerateOptions],
+        ddim: DdimCoefficients,
+        coarse: FloatArray | None,
+    ) -> GuidedPrediction:
+        """Bind 2 B rows: the unconditional predictions of all samples, then the conditional ones."""
+        frames = np.array([sample.frames for sample in options])
+        contexts = stack_rows(self._unconditional(seen), seen)
+        coarse_twice = None if coarse is None else np.concatenate([coarse, coarse])
+        routing = AttentionRouting.identity(2 * len(frames))
+        predict_rows = self._bind(level, contexts, coarse_twice, routing, np.tile(frames, 2), ddim)
+        return GuidedPrediction(predict_rows, options[0].guidance[level])
+
+    def _composed(
+        self,
+        level: str,
+        seen: Conditions,
+        weights: CompositionWeights,
+        options: GenerateOptions,
+        ddim: DdimCoefficients,
+        coarse: FloatArray | None,
+    ) -> ComposedPrediction:
+        """Bind the rows of one composed sample (`diffusion.composition.plan_rows`)."""
+        # eps_c, no text beside the coarser latent, is a prediction of its own only where eps_0 lacks that latent
+        apart = coarse is not None and self.manifest.defaults.guidance_base == "empty"
+        plan = plan_rows(weights, options.guidance[level], coarse=apart)
+        gamma = agd_step_sizes(plan.routing, weights.agd) if any(weights.agd) else None
+        first = seen.map(lambda part: part[:1])
+        contexts = stack_rows(self._unconditional(first), drop_text(first), seen)
+        shared = None if coarse is None else np.repeat(coarse, len(contexts.kind), axis=0)
+        frames = np.full(len(plan.coefficients), options.frames)
+        return ComposedPrediction(
+            self._bind(level, contexts, shared, plan.routing, frames, ddim, gamma), plan.coefficients
+        )
+
+    def _unconditional(self, seen: Conditions) -> Conditions:
+        """Drop what guidance leads away from: the text, and where the bundle says so the coarser latent too."""
+        return drop_all(seen) if self.manifest.defaults.guidance_base == "empty" else drop_text(seen)
+
+    def _bind(
+        self,
+        level: str,
+        contexts: Conditions,
+        coarse: FloatArray | None,
+        routing: AttentionRouting,
+        frames: IntArray,
+        ddim: DdimCoefficients,
+        gamma: FloatArray | None = None,
+    ) -> NoisePredictor:
+        sessions = self.sessions
+        modulation = adaln_modulation(sessions.clock[level], ddim.timesteps, frames)
+        if gamma is None:
+            return bind_step_inputs(
+                sessions.context[level], sessions.step[level], contexts, coarse, routing, modulation
+            )
+        context, step = sessions.context_agd[level](), sessions.step_agd[level]()
+        return bind_step_inputs(context, step, contexts, coarse, routing, modulation, gamma)
+
+
+@dataclass(frozen=True)
+class GuidedPrediction:
+    """eps = eps_0 + s (eps_c - eps_0) for B samples (GraphMotion, Eq. A); a `PredictNoise`."""
+
+    predict_rows: NoisePredictor
+    """Of 2 B rows: unconditional, then conditional."""
+    scale: float
+    """Guidance scale s."""
+
+    def __call__(self, latents: FloatArray, index: int) -> FloatArray:
+        rows = self.predict_rows(np.concatenate([latents, latents]), index)
+        unconditional, conditional = rows[: len(latents)], rows[len(latents) :]
+        return guide(unconditional, conditional, self.scale)
+
+
+@dataclass(frozen=True)
+class ComposedPrediction:
+    """eps = sum_r coefficient_r eps_r for one sample (EnergyMoGen, Eq. 7-10); a `PredictNoise`."""
+
+    predict_rows: NoisePredictor
+    coefficients: FloatArray
+    """(R,)."""
+
+    def __call__(self, latents: FloatArray, index: int) -> FloatArray:
+        rows = np.repeat(latents, len(self.coefficients), axis=0)
+        return combine_rows(self.predict_rows(rows, index), self.coefficients)
+
+
+@dataclass(frozen=True)
+class NoisePredictor:
+    """A level's step graph with all inputs that are constant over the steps; made by `bind_step_inputs`."""
+
+    step: onnxruntime.InferenceSession
+    constant: Mapping[str, Any]
+    """Keys and values (or projected contexts), routing, bias, step sizes."""
+    modulation: FloatArray
+    """(K, R, m, d) or (K, 1, m, d), see `adaln_modulation`."""
+
+    def __call__(self, latents: FloatArray, index: int) -> FloatArray:
+        """Predict the noise of R latent rows (R, C, z) at step `index`."""
+        inputs = {"latent": latents, "modulation": self.modulation[index], **self.constant}
+        noise: FloatArray = self.step.run(["noise"], inputs)[0]
+        return noise
+
+
+def adaln_modulation(clock: onnxruntime.InferenceSession, timesteps: IntArray, frames: IntArray) -> FloatArray:
+    """Compute the scales and shifts of every adaptive LayerNorm (adaLN), for all steps at once.
+
+    Args:
+        clock: session of the level's modulation graph.
+        timesteps: (K,).
+        frames: (R,) length of each row's clip.
+
+    Returns:
+        (K, R, m, d); (K, 1, m, d) if all rows have one length: onnxruntime normalises faster by one scale than by one
+        for each row.
     """
     lengths, row = np.unique(frames, return_inverse=True)
-    found: FloatArray = clock.run(["modulation"], {"timestep": timesteps, "frames": lengths})[0]
-    return found if len(lengths) == 1 else found[:, row]
+    modulation: FloatArray = clock.run(["modulation"], {"timestep": timesteps, "frames": lengths})[0]
+    return modulation if len(lengths) == 1 else modulation[:, row]
 
 
-def row_network(
+def bind_step_inputs(
     context: onnxruntime.InferenceSession,
     step: onnxruntime.InferenceSession,
-    known: Conditions,
+    contexts: Conditions,
     coarse: FloatArray | None,
-    wiring: AttentionRouting,
+    routing: AttentionRouting,
     modulation: FloatArray,
     gamma: FloatArray | None = None,
-) -> RowNetwork:
-    """Noise predictions of R rows, for one level.
+) -> NoisePredictor:
+    """Compute what the steps of one level share: keys and values of every layer, once, and their routing.
 
     Args:
         context: session of context_{level}, or of context_{level}_agd.
         step: session of step_{level}, or of step_{level}_agd.
-        known: K conditions.
-        coarse: (K, C', z') latent of the level above for each of them.
-        wiring: of contexts and rows.
-        modulation: (K, R, m, d), see `modulations`.
-        gamma: (A, 2) step sizes of adaptive gradient descent, for the graphs of it.
+        contexts: K rows of conditions.
+        coarse: (K, C', z') latents of the level above for each of them.
+        routing: of contexts and latent rows.
+        modulation: see `adaln_modulation`.
+        gamma: (A, 2) step sizes of adaptive gradient descent, for its graphs.
     """
-    feeds = {"nodes": known.nodes, "kind": known.kind, "order": known.order}
-    bias = known.bias
+    inputs = {"nodes": contexts.nodes, "kind": contexts.kind, "order": contexts.order}
+    bias = contexts.bias
     if coarse is not None:
-        feeds["coarse"] = coarse
-        bias = np.concatenate([bias, np.repeat(known.coarse_bias, coarse.shape[1], axis=1)], axis=1)
+        inputs["coarse"] = coarse
+        bias = np.concatenate([bias, np.repeat(contexts.coarse_bias, coarse.shape[1], axis=1)], axis=1)
     names = [output.name for output in context.get_outputs()]
-    attended = context.run(names, feeds)
-    tokens = step.get_inputs()[0].shape[1]
-    spread = np.repeat(bias[wiring.context][:, None, None, :], tokens, axis=2)
-    constant = {
-        **{name: value[wiring.context] for name, value in zip(names, attended, strict=True)},
-        **({} if gamma is None else {"gamma": gamma}),
-        "src": wiring.src,
-        "combine": wiring.combine,
-        "bias": spread,
+    # key_i, value_i (K, h, S, d/h) of every layer, or the projected context (K, S, d) for AGD
+    attended = dict(zip(names, context.run(names, inputs), strict=True))
+    latent_tokens = step.get_inputs()[0].shape[1]
+    constant: dict[str, Any] = {
+        **{name: value[routing.context] for name, value in attended.items()},
+        "src": routing.src,
+        "combine": routing.combine,
+        # log edge weights and padding, (A, S) -> (A, 1, C, S)
+        "bias": np.repeat(bias[routing.context][:, None, None, :], latent_tokens, axis=2),
     }
-
-    def predict(latents: FloatArray, number: int) -> FloatArray:
-        noise: FloatArray = step.run(["noise"], {"latent": latents, "modulation": modulation[number], **constant})[0]
-        return noise
-
-    return predict
-
-
-@dataclass(frozen=True)
-class Denoisers:
-    """From encoded graphs to the latent that the decoder reads."""
-
-    sessions: Sessions
-    manifest: Manifest
-    on_latent: OnLatent | None = None
-    """Told of every level that is done."""
-
-    def guided(self, encoded: Conditions, options: Sequence[GenerateOptions], on_step: OnStep | None) -> FloatArray:
-        """Latents of the finest level, (B, C, z); all samples of a batch share steps and guidance."""
-        first = options[0]
-        frames = np.array([each.frames for each in options])
-
-        def predictor_for(number: int, times: DdimCoefficients, coarse: FloatArray | None) -> Predict:
-            name = LEVELS[number]
-            return self._predictor(name, encoded, coarse, frames, times, first.guidance[name])
-
-        return self._sampled(options, predictor_for, on_step)
-
-    def composed(
-        self, encoded: Conditions, mixture: CompositionWeights, options: GenerateOptions, on_step: OnStep | None
-    ) -> FloatArray:
-        """Latent of the finest level from several graphs, one run per step whatever the method.
-
-        Rows of `encoded` come in the order of the mixture's weights, its joint text and its negated concepts.
-        """
-
-        def predictor_for(number: int, times: DdimCoefficients, coarse: FloatArray | None) -> Predict:
-            return self.predictor_of(LEVELS[number], encoded, mixture, coarse, options, times)
-
-        return self._sampled([options], predictor_for, on_step)
-
-    def predictor_of(
-        self,
-        name: str,
-        encoded: Conditions,
-        mixture: CompositionWeights,
-        coarse: FloatArray | None,
-        options: GenerateOptions,
-        times: DdimCoefficients,
-    ) -> Predict:
-        """Guided noise prediction of one level for a mixture, one sample at a time."""
-        apart = coarse is not None and self.manifest.defaults.guidance_base == "empty"
-        plan = plan_rows(mixture, options.guidance[name], coarse=apart)
-        gamma = step_sizes(plan.wiring, mixture.agd) if any(mixture.agd) else None
-        seen = for_level(encoded, self.manifest.levels[name].nodes)
-        first = Conditions(*(part[:1] for part in vars(seen).values()))
-        known = stacked(stacked(self._base(first), drop_text(first)), seen)
-        rows = len(plan.mix)
-        shared = None if coarse is None else np.repeat(coarse, len(known.kind), axis=0)
-        network = self._network(name, known, shared, plan.wiring, np.full(rows, options.frames), times, gamma)
-        return lambda latent, step: combine_rows(network(np.repeat(latent, rows, axis=0), step), plan.mix)
-
-    def plans(self, options: GenerateOptions) -> list[LevelPlan]:
-        """The levels of a run."""
-        return [
-            LevelPlan(name, spec.tokens, spec.latent_width, options.steps[name])
-            for name, spec in ((name, self.manifest.levels[name]) for name in LEVELS)
-        ]
-
-    def _sampled(
-        self, options: Sequence[GenerateOptions], predictor_for: PredictorFor, on_step: OnStep | None
-    ) -> FloatArray:
-        """All levels, each sample from the noise of its own seed."""
-        plans = self.plans(options[0])
-        per_sample = [initial_noise(each.seed, plans) for each in options]
-        noises = [np.stack(level) for level in zip(*per_sample, strict=True)]
-        return sample_hierarchy(plans, noises, predictor_for, self.manifest.schedule.noise, on_step, self.on_latent)[-1]
-
-    def _predictor(
-        self,
-        name: str,
-        encoded: Conditions,
-        coarse: FloatArray | None,
-        frames: NDArray[np.int64],
-        times: DdimCoefficients,
-        scale: float,
-    ) -> Predict:
-        """Guided noise prediction of one level: rows are the unconditional predictions of all samples, then theirs."""
-        seen = for_level(encoded, self.manifest.levels[name].nodes)
-        known = stacked(self._base(seen), seen)
-        twice = None if coarse is None else np.concatenate([coarse, coarse])
-        network = self._network(
-            name, known, twice, AttentionRouting.straight(2 * len(frames)), np.tile(frames, 2), times
-        )
-
-        def predict(latent: FloatArray, step: int) -> FloatArray:
-            both, half = network(np.concatenate([latent, latent]), step), len(latent)
-            return guide(both[:half], both[half:], scale)
-
-        return predict
-
-    def _base(self, seen: Conditions) -> Conditions:
-        """What guidance leads away from."""
-        return drop_all(seen) if self.manifest.defaults.guidance_base == "empty" else drop_text(seen)
-
-    def _network(
-        self,
-        name: str,
-        known: Conditions,
-        coarse: FloatArray | None,
-        wiring: AttentionRouting,
-        frames: NDArray[np.int64],
-        times: DdimCoefficients,
-        gamma: FloatArray | None = None,
-    ) -> RowNetwork:
-        sessions = self.sessions
-        modulation = modulations(sessions.clock[name], times.timesteps, frames)
-        context, step = sessions.context[name], sessions.step[name]
-        if gamma is not None:
-            context, step = sessions.context_agd[name](), sessions.step_agd[name]()
-        return row_network(context, step, known, coarse, wiring, modulation, gamma)
-
-
-def check_step_sizes(sessions: Sessions, manifest: Manifest, agd: tuple[float, float]) -> None:
-    """Raises InvalidInputError where adaptive gradient descent is asked for and the bundle has no graphs for it."""
-    if any(agd) and not sessions.step_agd:
-        raise InvalidInputError(
-            f"bundle {manifest.name} {manifest.version} has no graphs for adaptive gradient descent: "
-            "leave agd out, or export the bundle again with this kinegraph"
-        )
+    if gamma is not None:
+        constant["gamma"] = gamma
+    return NoisePredictor(step, constant, modulation)

@@ -1,6 +1,8 @@
-"""What one call wants, checked before any model runs; what a bundle is lives in `kinegraph.bundle.manifest`.
+"""Options of one call, validated before any model runs.
 
-Several sentences in one call, a sequence or a batch: their lengths, seeds and captions."""
+What a bundle is lives in `kinegraph.bundle.manifest`; what a call wants lives here. Calls of several sentences, a
+sequence or a batch, have lengths, seeds and captions of their parts.
+"""
 
 from __future__ import annotations
 
@@ -30,18 +32,20 @@ N = TypeVar("N", int, float)
 
 @dataclass(frozen=True)
 class GenerateOptions:
-    """A call's wishes with the bundle's defaults filled in; made by `resolve_options`."""
+    """Options of a call with the bundle's defaults filled in; made by `resolve_options`."""
 
     frames: int
+    """Length of the clip."""
     seconds: float
     """`frames / fps`: what the caller asked for, to the nearest frame."""
     seed: int
+    """Of the noise, 0 to 2**63 - 1."""
     steps: Mapping[str, int]
     """Diffusion steps of each level."""
     guidance: Mapping[str, float]
     """Guidance scale of each level; 0 is the unconditional model, 1 is no guidance."""
     foot_fix: bool = True
-    """Whether feet that stand are held where they stand."""
+    """Whether standing feet are locked where they stand."""
 
 
 def resolve_options(
@@ -53,7 +57,7 @@ def resolve_options(
     guidance: Guidance | None = None,
     foot_fix: bool = True,
 ) -> GenerateOptions:
-    """Check a call's wishes; None takes the bundle's default.
+    """Validate the options of a call and fill in the bundle's defaults.
 
     Args:
         manifest: of the bundle that will run.
@@ -61,35 +65,35 @@ def resolve_options(
         seed: 0 to 2**63 - 1; None draws one from the operating system, to be found in the result.
         steps: diffusion steps, see `Steps`.
         guidance: guidance scale, 0 to 20, see `Guidance`.
-        foot_fix: whether feet that stand are held where they stand.
+        foot_fix: whether standing feet are locked where they stand.
 
     Raises:
         InvalidInputError: naming the option, its value and what is allowed.
     """
     frames = frame_count(manifest, manifest.defaults.seconds if seconds is None else seconds)
 
-    def checked_steps(value: object, name: str) -> int:
-        return _steps(value, name, manifest.schedule)
+    def validate_steps(value: object, name: str) -> int:
+        return _validate_steps(value, name, manifest.schedule)
 
     return GenerateOptions(
         frames=frames,
         seconds=frames / manifest.fps,
         seed=validate_seed(seed),
-        steps=_per_level(steps, "steps", manifest.defaults.steps, checked_steps),
-        guidance=_per_level(guidance, "guidance", manifest.defaults.guidance, _guidance),
-        foot_fix=_flag(foot_fix, "foot_fix"),
+        steps=_per_level(steps, "steps", manifest.defaults.steps, validate_steps),
+        guidance=_per_level(guidance, "guidance", manifest.defaults.guidance, _validate_guidance),
+        foot_fix=_validate_flag(foot_fix, "foot_fix"),
     )
 
 
 def frame_count(manifest: Manifest, seconds: float) -> int:
-    """Frames of a clip of that length, to the nearest.
+    """Convert seconds to frames, to the nearest.
 
     Raises:
         InvalidInputError: not a finite number, or outside what the model was trained on.
     """
     shortest, longest = manifest.seconds_limits
     allowed = f"must be {shortest:g} to {longest:g} seconds with this bundle"
-    length = _finite(seconds, "seconds", allowed)
+    length = _validate_finite(seconds, "seconds", allowed)
     frames = length * manifest.fps
     # Compared before rounding to an int, which a huge product would turn into a number of 300 digits.
     if not manifest.frames.min - 0.5 <= frames <= manifest.frames.max + 0.5:
@@ -98,10 +102,10 @@ def frame_count(manifest: Manifest, seconds: float) -> int:
 
 
 def validate_seed(seed: object) -> int:
-    """The seed itself, or a new one for None.
+    """Return the seed itself, or draw one for None.
 
     Raises:
-        InvalidInputError: no whole number from 0 to 2**63 - 1.
+        InvalidInputError: not a whole number from 0 to 2**63 - 1.
     """
     if seed is None:
         # 32 bits are plenty of takes, and short enough to type again.
@@ -112,7 +116,7 @@ def validate_seed(seed: object) -> int:
     return number
 
 
-def _steps(value: object, name: str, schedule: ScheduleSpec) -> int:
+def _validate_steps(value: object, name: str, schedule: ScheduleSpec) -> int:
     most = schedule.train_steps
     steps = whole_number(value)
     if steps is None or not 1 <= steps <= most:
@@ -124,51 +128,51 @@ def _steps(value: object, name: str, schedule: ScheduleSpec) -> int:
     return steps
 
 
-def _guidance(value: object, name: str) -> float:
+def _validate_guidance(value: object, name: str) -> float:
     allowed = f"must be 0 to {MAX_GUIDANCE:g}"
-    scale = _finite(value, name, allowed)
+    scale = _validate_finite(value, name, allowed)
     if not 0 <= scale <= MAX_GUIDANCE:
         raise InvalidInputError(f"{name} {allowed}, not {scale:g}")
     return scale
 
 
 def _per_level(
-    wish: object, name: str, defaults: Mapping[str, N], check: Callable[[object, str], N]
+    value: object, name: str, defaults: Mapping[str, N], check: Callable[[object, str], N]
 ) -> Mapping[str, N]:
-    if wish is None:
+    if value is None:
         return defaults
-    if isinstance(wish, Mapping):
-        for level in wish:
+    if isinstance(value, Mapping):
+        for level in value:
             if level not in LEVELS:
                 raise InvalidInputError(f"{name}: unknown level {short_repr(level)}; the levels are {list(LEVELS)}")
-        given: dict[str, object] = dict(wish)
-    elif isinstance(wish, list | tuple):
-        if len(wish) != len(LEVELS):
-            raise InvalidInputError(f"{name} must be one number or {len(LEVELS)}, not {len(wish)}")
-        given = dict(zip(LEVELS, wish, strict=True))
+        by_level: dict[str, object] = dict(value)
+    elif isinstance(value, list | tuple):
+        if len(value) != len(LEVELS):
+            raise InvalidInputError(f"{name} must be one number or {len(LEVELS)}, not {len(value)}")
+        by_level = dict(zip(LEVELS, value, strict=True))
     else:
-        given = dict.fromkeys(LEVELS, wish)
+        by_level = dict.fromkeys(LEVELS, value)
     return MappingProxyType(
         {
-            level: check(given[level], f"{name} of level {level}") if level in given else defaults[level]
+            level: check(by_level[level], f"{name} of level {level}") if level in by_level else defaults[level]
             for level in LEVELS
         }
     )
 
 
-def _flag(value: object, name: str) -> bool:
+def _validate_flag(value: object, name: str) -> bool:
     if not isinstance(value, bool):
         raise InvalidInputError(f"{name} must be True or False, not {short_repr(value)}")
     return value
 
 
 def whole_number(value: object) -> int | None:
-    """A value as an int, None where it is no whole number."""
+    """Return a value as an int, or None if it is not a whole number."""
     # bool is an int to Python, but nobody means seed=True; numpy's integers are Integral.
     return int(value) if isinstance(value, Integral) and not isinstance(value, bool) else None
 
 
-def _finite(value: object, name: str, allowed: str) -> float:
+def _validate_finite(value: object, name: str, allowed: str) -> float:
     if isinstance(value, bool) or not isinstance(value, Real):
         raise InvalidInputError(f"{name} {allowed}, not {short_repr(value)}")
     try:
@@ -181,7 +185,7 @@ def _finite(value: object, name: str, allowed: str) -> float:
 
 
 def short_repr(value: object) -> str:
-    """A short text for a message, whatever the caller passed: some reprs are megabytes, some raise."""
+    """Describe a value briefly for a message, whatever the caller passed: some reprs are megabytes, some raise."""
     if isinstance(value, int) and abs(value) >= 10**40:
         return "a number of more than 40 digits"
     if value is None or isinstance(value, str | int | float):
@@ -190,10 +194,10 @@ def short_repr(value: object) -> str:
 
 
 def batch_seeds(first: int, texts: int, takes: object) -> list[int]:
-    """The seeds of a batch, one after another.
+    """List the seeds of a batch, one after another.
 
     Raises:
-        InvalidInputError: takes that are no whole number, more than `limits.MAX_TAKES` clips, or seeds that end beyond
+        InvalidInputError: takes that are not a whole number, more than `limits.MAX_TAKES` clips, or seeds that end past
             the largest.
     """
     number = whole_number(takes)
@@ -201,17 +205,17 @@ def batch_seeds(first: int, texts: int, takes: object) -> list[int]:
         raise InvalidInputError(f"takes must be a whole number from 1 to {MAX_TAKES}, not {short_repr(takes)}")
     if texts * number > MAX_TAKES:
         raise InvalidInputError(f"{texts} sentences of {number} takes; {MAX_TAKES} clips at most share a run")
-    return [validate_seed(first + place) for place in range(texts * number)]
+    return [validate_seed(first + index) for index in range(texts * number)]
 
 
 def sequence_caption(captions: Sequence[str]) -> str:
-    """One caption of a sequence: "a person walks", "then bows" -> "a person walks, then bows"."""
+    """Join captions to one of a sequence: "a person walks", "then bows" -> "a person walks, then bows"."""
     first, *others = captions
     return ", then ".join([first, *(re.sub(r"^\s*((and|then)\s+)+", "", other) for other in others)])
 
 
 def validate_lengths(texts: object, seconds: object, most: int, what: str) -> list[Any]:
-    """The length of every sentence of several; None where the sentence decides.
+    """Return the length of every sentence of several; None where the sentence decides.
 
     Args:
         texts: of a sequence or a batch.
@@ -220,7 +224,7 @@ def validate_lengths(texts: object, seconds: object, most: int, what: str) -> li
         what: "a sequence" or "a batch", for messages.
 
     Raises:
-        InvalidInputError: no list of 1 to `most` sentences, or lengths that are not as many.
+        InvalidInputError: not a list of 1 to `most` sentences, or another number of lengths.
     """
     if isinstance(texts, str) or not isinstance(texts, Sequence):
         raise InvalidInputError(f"{what} takes a list of sentences")

@@ -17,7 +17,7 @@ from torch import Tensor
 
 from kinegraph.bundle.contract import LEVELS, NODE_KINDS, NULL_KIND, PADDING_BIAS, LevelSpec, contracts
 from kinegraph.conditioning import Conditions
-from kinegraph.denoising import RowNetwork, row_network
+from kinegraph.denoising import bind_step_inputs
 from kinegraph.diffusion.composition import CompositionWeights, combine_rows, plan_rows
 from kinegraph_export.graphs import export_graph
 from kinegraph_export.modules import ContextGraph, DenoiserGraph, MotionContextGraph
@@ -137,11 +137,11 @@ def test_one_run_of_the_graphs_is_the_equations(
     scale = 2.5
 
     plan = plan_rows(CompositionWeights(weights, (1.0,), negated, lambdas), scale, coarse=above is not None)
-    rows = len(plan.mix)
+    rows = len(plan.coefficients)
     shared = None if above is None else np.repeat(above, len(known.kind), axis=0)
     spread = np.repeat(modulation[None], rows, axis=1)
-    network: RowNetwork = row_network(level.context, level.step, known, shared, plan.wiring, spread)
-    found = combine_rows(network(np.repeat(latent, rows, axis=0), 0), plan.mix)
+    network = bind_step_inputs(level.context, level.step, known, shared, plan.routing, spread)
+    found = combine_rows(network(np.repeat(latent, rows, axis=0), 0), plan.coefficients)
 
     coarse = None if above is None else torch.from_numpy(above)
     given = (torch.from_numpy(latent), torch.from_numpy(modulation), known, coarse)

@@ -39,7 +39,7 @@ def test_where_and_with_what_is_told(report: bench.BenchReport) -> None:
     assert {"cpu", "cpus", "python", "numpy", "onnxruntime", "kinegraph"} <= set(report.machine)
     assert report.threads == {"steps": 1, "others": 1}
     assert 0.0 <= report.idle_cpu < 0.2
-    text = bench.table(report)
+    text = bench.text_table(report)
     assert all(
         word in text for word in (*LEVELS, "p99", "times as fast", "first file of a fresh process, from a graph")
     )
@@ -60,8 +60,8 @@ def test_where_and_with_what_is_told(report: bench.BenchReport) -> None:
 )
 def test_the_cpu_is_named_with_what_int8_runs_on(tmp_path: Path, cpuinfo: str, name: str) -> None:
     (tmp_path / "cpuinfo").write_text(cpuinfo)
-    assert bench._cpu(tmp_path / "cpuinfo") == name
-    assert bench._cpu(tmp_path / "none") == platform.machine()
+    assert bench._cpu_name(tmp_path / "cpuinfo") == name
+    assert bench._cpu_name(tmp_path / "none") == platform.machine()
 
 
 def test_a_fresh_process_is_timed_and_its_memory_told(report: bench.BenchReport) -> None:

@@ -13,7 +13,7 @@ from kinegraph import Concept, InvalidInputError, MotionPipeline
 from kinegraph.bundle.reader import DEFAULT_BUNDLE
 from kinegraph.cli.inputs import split_weight
 from kinegraph.concepts import joint_caption, validate_concepts, validate_lambdas
-from kinegraph.conditioning import Encoders
+from kinegraph.conditioning import ConditionEncoder
 from kinegraph.diffusion.sampling import StepInfo
 from support.cli_runs import fails
 from support.same_motion import assert_same_motion
@@ -102,15 +102,15 @@ def test_no_step_size_is_without_adaptive_gradient_descent(pipe: MotionPipeline)
 
 
 def test_a_bundle_without_its_graphs_says_so(pipe: MotionPipeline, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(pipe, "_sessions", dataclasses.replace(pipe._sessions, context_agd={}, step_agd={}))
-    monkeypatch.setattr(Encoders, "arrays", None)
+    pipe = pipe.with_sessions(dataclasses.replace(pipe.sampler.sessions, context_agd={}, step_agd={}))
+    monkeypatch.setattr(ConditionEncoder, "encode_text", None)
     with pytest.raises(InvalidInputError, match=r"no graphs for adaptive gradient descent: leave agd out"):
         pipe.compose([WALK, WAVE], agd=(4e-4, 4e-4), **FEW)
 
 
 @pytest.fixture
 def adaptive(pipe: MotionPipeline) -> MotionPipeline:
-    if not pipe._sessions.step_agd:
+    if not pipe.sampler.sessions.step_agd:
         pytest.skip("the default bundle has no graphs of adaptive gradient descent")
     return pipe
 
@@ -146,8 +146,8 @@ class Counted:
 
 def test_one_run_per_step(pipe: MotionPipeline, monkeypatch: pytest.MonkeyPatch) -> None:
     runs: list[Any] = []
-    counted = {level: Counted(session, runs) for level, session in pipe._sessions.step.items()}
-    monkeypatch.setattr(pipe, "_sessions", dataclasses.replace(pipe._sessions, step=counted))
+    counted = {level: Counted(session, runs) for level, session in pipe.sampler.sessions.step.items()}
+    pipe = pipe.with_sessions(dataclasses.replace(pipe.sampler.sessions, step=counted))
     seen: list[StepInfo] = []
     concepts = [WALK, WAVE, Concept("a person runs", -0.5)]
     pipe.compose(concepts, on_step=lambda info: bool(seen.append(info)) or True, **FEW)
@@ -196,7 +196,7 @@ def test_bad_input_is_refused_before_a_model_runs(
     def never(*_: object) -> None:
         raise AssertionError("a model ran")
 
-    monkeypatch.setattr(Encoders, "arrays", never)
+    monkeypatch.setattr(ConditionEncoder, "encode_text", never)
     with pytest.raises(InvalidInputError, match=message):
         pipe.compose(concepts, **options)
 

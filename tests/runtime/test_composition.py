@@ -11,9 +11,9 @@ from kinegraph.diffusion.composition import (
     AttentionRouting,
     CompositionWeights,
     RowPlan,
+    agd_step_sizes,
     combine_rows,
     plan_rows,
-    step_sizes,
 )
 
 TOKENS, WIDTH, KEYS = 3, 4, 5
@@ -47,15 +47,15 @@ def network(latent: np.ndarray, shares: dict[int, float], keys: np.ndarray, valu
 
 def wired(latent: np.ndarray, plan: RowPlan, keys: np.ndarray, values: np.ndarray) -> np.ndarray:
     """The step graph's way: attention rows from latent rows by `src`, mixed back by `combine`."""
-    wiring = plan.wiring
-    x = np.repeat(latent[None], len(plan.mix), axis=0)
+    routing = plan.routing
+    x = np.repeat(latent[None], len(plan.coefficients), axis=0)
     for number in range(LAYERS):
         rows = [
             attention(x[source], keys[context], values[context])
-            for source, context in zip(wiring.src, wiring.context, strict=True)
+            for source, context in zip(routing.src, routing.context, strict=True)
         ]
-        x = layer(x, np.tensordot(wiring.combine, np.stack(rows), axes=1), number)
-    return combine_rows(x.astype(np.float32), plan.mix)[0]
+        x = layer(x, np.tensordot(routing.combine, np.stack(rows), axes=1), number)
+    return combine_rows(x.astype(np.float32), plan.coefficients)[0]
 
 
 def equations(
@@ -134,9 +134,9 @@ def test_latent_aware_negation_is_the_same_inside_and_beside() -> None:
 
 def test_step_sizes_are_those_of_text_rows() -> None:
     plan = plan_rows(mixture([1.0, 0.5], (0.2, 0.3, 0.5), -1.0), 2.0, coarse=True)
-    found = step_sizes(plan.wiring, (4e-4, 1e-3))
-    assert found.shape == (len(plan.wiring.src), 2) and found.dtype == np.float32
-    has_text = plan.wiring.context >= 2
+    found = agd_step_sizes(plan.routing, (4e-4, 1e-3))
+    assert found.shape == (len(plan.routing.src), 2) and found.dtype == np.float32
+    has_text = plan.routing.context >= 2
     assert 0 < has_text.sum() < len(has_text)
     np.testing.assert_allclose(found[has_text], [[4e-4, 1e-3]] * has_text.sum())
     assert not found[~has_text].any()
@@ -153,10 +153,11 @@ def test_coefficients_sum_to_one(
 ) -> None:
     # What all rows agree on is what comes out.
     plan = plan_rows(mixture(weights, lambdas), scale, coarse=coarse)
-    assert plan.mix.sum() == pytest.approx(1.0, abs=1e-3 * float(1 + np.abs(plan.mix).sum()))
-    wiring = plan.wiring
-    assert wiring.combine.shape == (len(plan.mix), len(wiring.src)) == (len(plan.mix), len(wiring.context))
-    np.testing.assert_allclose(wiring.combine.sum(axis=1), 1.0, atol=1e-4)
+    assert plan.coefficients.sum() == pytest.approx(1.0, abs=1e-3 * float(1 + np.abs(plan.coefficients).sum()))
+    routing = plan.routing
+    rows = len(plan.coefficients)
+    assert routing.combine.shape == (rows, len(routing.src)) == (rows, len(routing.context))
+    np.testing.assert_allclose(routing.combine.sum(axis=1), 1.0, atol=1e-4)
 
 
 @pytest.mark.parametrize("lambdas", LAMBDAS)
@@ -170,14 +171,16 @@ def test_one_concept_of_weight_one_is_plain_guidance(lambdas: tuple[float, float
 
 
 def test_rows_that_count_for_nothing_are_not_run() -> None:
-    rows = {lambdas: len(plan_rows(mixture([1.0, 1.0], lambdas), 2.0, coarse=False).mix) for lambdas in LAMBDAS}
+    rows = {
+        lambdas: len(plan_rows(mixture([1.0, 1.0], lambdas), 2.0, coarse=False).coefficients) for lambdas in LAMBDAS
+    }
     assert rows == dict(zip(LAMBDAS, [3, 2, 2, 5, 4], strict=True))
     # the shared coarser latent has a row of its own unless the weights sum to 1
-    assert len(plan_rows(CompositionWeights((1.0, 1.0)), 2.0, coarse=True).mix) == 4
-    assert len(plan_rows(CompositionWeights((0.3, 0.7)), 2.0, coarse=True).mix) == 3
+    assert len(plan_rows(CompositionWeights((1.0, 1.0)), 2.0, coarse=True).coefficients) == 4
+    assert len(plan_rows(CompositionWeights((0.3, 0.7)), 2.0, coarse=True).coefficients) == 3
 
 
-def test_straight_wiring_keeps_rows_apart() -> None:
-    wiring = AttentionRouting.straight(3)
-    assert wiring.src.tolist() == wiring.context.tolist() == [0, 1, 2]
-    np.testing.assert_array_equal(wiring.combine, np.eye(3))
+def test_identity_routing_keeps_rows_apart() -> None:
+    routing = AttentionRouting.identity(3)
+    assert routing.src.tolist() == routing.context.tolist() == [0, 1, 2]
+    np.testing.assert_array_equal(routing.combine, np.eye(3))

@@ -14,14 +14,14 @@ from kinegraph.conditioning import (
     NO_EDGE,
     SPECIFIC,
     GraphArrays,
-    conditions,
     drop_all,
     drop_text,
     for_level,
     log_weight,
+    make_conditions,
     node_features,
     pad_graphs,
-    stacked,
+    stack_rows,
 )
 from kinegraph.graph import ROLE_INDEX, Action, Argument, SemanticGraph
 from kinegraph.text.tokenizer import TokenIds
@@ -98,21 +98,21 @@ def test_padding_carries_no_edge_no_node_and_no_weight() -> None:
     assert feeds["nodes"].shape == (2, 4, 5)
     np.testing.assert_array_equal(feeds["node_mask"], [[1, 1, 1, 1], [1, 1, 0, 0]])
     assert (feeds["relation"][1, 2:] == NO_EDGE).all() and (feeds["relation"][1, :, 2:] == NO_EDGE).all()
-    found = conditions([arrays(), small], encoded([arrays(), small]))
+    found = make_conditions([arrays(), small], encoded([arrays(), small]))
     np.testing.assert_array_equal(found.bias[1], [0.0, 0.0, PADDING_BIAS, PADDING_BIAS])
     np.testing.assert_allclose(found.bias[0], np.log([1.0, 0.5, 1.0, 1.0]), rtol=1e-6)
 
 
 @pytest.mark.parametrize(("kinds", "left"), [(("motion",), 1), (("motion", "action"), 3), (NODE_KINDS, 4)])
 def test_a_level_sees_the_nodes_of_its_kinds(kinds: tuple[str, ...], left: int) -> None:
-    found = for_level(conditions([arrays()], encoded([arrays()])), kinds)
+    found = for_level(make_conditions([arrays()], encoded([arrays()])), kinds)
     assert found.nodes.shape == (1, left, 5)
     assert (found.bias > PADDING_BIAS).all()
 
 
 def test_a_level_masks_what_only_a_neighbour_of_the_batch_needs() -> None:
     one = arrays(SemanticGraph(CAPTION, (Action("waves", 17, 22, 0, 1.0, (Argument("ARG1", "slowly", 6, 12),)),)))
-    found = for_level(conditions([arrays(), one], encoded([arrays(), one])), ("motion", "action"))
+    found = for_level(make_conditions([arrays(), one], encoded([arrays(), one])), ("motion", "action"))
     # Its third node is a specific, which this level must not see, though the other graph has an action there.
     np.testing.assert_array_equal(found.bias[1] > PADDING_BIAS, [True, True, False])
 
@@ -122,14 +122,14 @@ def test_weight_zero_leaves_what_deletion_leaves() -> None:
     zero = SemanticGraph(CAPTION, (silent, GRAPH.actions[1]))
     gone = SemanticGraph(CAPTION, (replace(GRAPH.actions[0], arguments=()), GRAPH.actions[1]))
     batch = [arrays(zero), arrays(gone)]
-    found = for_level(conditions(batch, encoded(batch)), NODE_KINDS)
+    found = for_level(make_conditions(batch, encoded(batch)), NODE_KINDS)
     assert found.nodes.shape[1] == 3
     for part in (found.nodes, found.kind, found.order, found.bias):
         np.testing.assert_array_equal(part[0], part[1])
 
 
 def test_no_text_is_one_null_token() -> None:
-    batch = conditions([arrays()], encoded([arrays()]))
+    batch = make_conditions([arrays()], encoded([arrays()]))
     blank = drop_text(batch)
     assert (blank.kind == NULL_KIND).all() and (blank.order == 0).all() and (blank.nodes == 0).all()
     np.testing.assert_array_equal(blank.bias[0], [0.0] + [PADDING_BIAS] * 3)
@@ -142,7 +142,7 @@ def test_no_text_is_one_null_token() -> None:
 
 
 def test_stacking_keeps_rows_apart() -> None:
-    batch = conditions([arrays()], encoded([arrays()]))
-    rows = stacked(drop_text(batch), batch)
+    batch = make_conditions([arrays()], encoded([arrays()]))
+    rows = stack_rows(drop_text(batch), batch)
     np.testing.assert_array_equal(rows.nodes[1], batch.nodes[0])
     np.testing.assert_array_equal(rows.kind[:, 0], [NULL_KIND, MOTION])

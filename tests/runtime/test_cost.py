@@ -64,8 +64,7 @@ def test_a_call_runs_every_model_once_and_every_step_once(
     pipe: MotionPipeline, monkeypatch: pytest.MonkeyPatch, make: Callable[[MotionPipeline], object], captions: int
 ) -> None:
     runs: Counter[str] = Counter()
-    monkeypatch.setattr(pipe, "_sessions", counted(pipe._sessions, runs))
-    make(pipe)
+    make(pipe.with_sessions(counted(pipe.sampler.sessions, runs)))
     once = dict.fromkeys(ONCE, 1) | {"text_encoder": captions}
     assert runs == {**once, **{f"step_{level}": count for level, count in STEPS.items()}}
 
@@ -81,14 +80,14 @@ def test_rows_of_one_length_share_their_modulation(
             seen.add((len(feeds["latent"]), len(feeds["modulation"])))
             return super().run(names, feeds)
 
-    steps = {level: Watched(own, level, Counter()) for level, own in pipe._sessions.step.items()}
-    monkeypatch.setattr(pipe, "_sessions", replace(pipe._sessions, step=MappingProxyType(steps)))
-    pipe.batch([GRAPH, GRAPH], seconds=seconds, seed=1, steps=STEPS)
+    steps = {level: Watched(own, level, Counter()) for level, own in pipe.sampler.sessions.step.items()}
+    sessions = replace(pipe.sampler.sessions, step=MappingProxyType(steps))
+    pipe.with_sessions(sessions).batch([GRAPH, GRAPH], seconds=seconds, seed=1, steps=STEPS)
     assert seen == {(4, modulations)}
 
 
 def test_a_session_does_not_keep_its_file(pipe: MotionPipeline) -> None:
-    every = [pipe._sessions.text_encoder, pipe._sessions.decoder, *pipe._sessions.step.values()]
+    every = [pipe.sampler.sessions.text_encoder, pipe.sampler.sessions.decoder, *pipe.sampler.sessions.step.values()]
     assert all(session._model_bytes is None for session in every)
 
 

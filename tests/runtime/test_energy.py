@@ -10,9 +10,9 @@ import pytest
 
 from kinegraph import Cancelled, Concept, InvalidInputError, MissingExtraError, MotionPipeline
 from kinegraph.bundle.reader import DEFAULT_BUNDLE
-from kinegraph.denoising import Denoisers
+from kinegraph.denoising import sample_hierarchy
 from kinegraph.diffusion.energy import EnergyMap, EnergyMaps, Plane, noise_field, plane_through, potential
-from kinegraph.diffusion.sampling import StepInfo, initial_noise, sample_hierarchy
+from kinegraph.diffusion.sampling import StepInfo, initial_noise
 from kinegraph.energy import axes_around, energy_maps
 from kinegraph.errors import NonFiniteError, OutputError
 from kinegraph.options import resolve_options
@@ -148,19 +148,17 @@ def test_a_map_follows_the_predictions_of_generate(pipe: MotionPipeline, one_sam
     """The guided predictor of `generate`, which knows nothing of mixtures, asked place by place."""
     seed, found = one_sample
     options = resolve_options(pipe.manifest, **{**FEW, "seed": seed})
-    denoisers = Denoisers(pipe._sessions, pipe.manifest)
-    encoded = pipe._encoders.conditions([pipe._encoders.arrays(pipe.parse(WALK))])
-    schedule, plans = pipe.manifest.schedule.noise, denoisers.plans(options)
-    made: dict[str, Any] = {}
+    sampler = pipe.sampler
+    conditions = pipe.encoder.attend(pipe.encoder.encode_text([pipe.parse(WALK)]))
+    schedule, levels = sampler.schedule, sampler.level_plans(options)
+    predictors: dict[str, Any] = {}
 
-    def predictor_for(number: int, times: Any, coarse: Any) -> Any:
-        name = ("motion", "action", "specific")[number]
-        frames = np.array([options.frames])
-        made["predict"] = denoisers._predictor(name, encoded, coarse, frames, times, options.guidance[name])
-        return made["predict"]
+    def make_predictor(level: str, ddim: Any, coarse: Any) -> Any:
+        predictors[level] = sampler.predictor(conditions, None, [options], level, ddim, coarse)
+        return predictors[level]
 
-    noises = [noise[None] for noise in initial_noise(seed, plans)]
-    end = sample_hierarchy(plans, noises, predictor_for, schedule)[-1][0].astype(np.float64)
+    noise_of_levels = [noise[None] for noise in initial_noise(seed, levels)]
+    end = sample_hierarchy(levels, noise_of_levels, make_predictor, schedule)[-1][0].astype(np.float64)
     # of a plane through one sample, the axes are the first two coordinates
     signals = schedule.alphas_cumprod[schedule.timesteps(4)]
     step = int(np.argmin(np.abs(signals - 0.9)))
@@ -170,7 +168,7 @@ def test_a_map_follows_the_predictions_of_generate(pipe: MotionPipeline, one_sam
             place = end.copy()
             place[0, 0] += first
             place[0, 1] += second
-            noise = made["predict"]((signals[step] ** 0.5 * place[None]).astype(np.float32), step)
+            noise = predictors["specific"]((signals[step] ** 0.5 * place[None]).astype(np.float32), step)
             field[i, j] = signals[step] ** 0.5 * noise[0, 0, :2]
     energy = by_loops(field, found.first[1] - found.first[0])
     # int8: the clip that is made alone may end elsewhere than the one that is made thrice

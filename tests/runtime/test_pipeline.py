@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 import json
 import os
 import subprocess
@@ -17,7 +16,7 @@ import pytest
 
 import kinegraph
 from kinegraph import MotionPipeline
-from kinegraph.conditioning import Encoders
+from kinegraph.conditioning import ConditionEncoder
 from kinegraph.diffusion.sampling import StepInfo
 from kinegraph.edits import with_weight
 from kinegraph.errors import Cancelled, InvalidInputError
@@ -129,7 +128,7 @@ def test_bad_input_is_refused_before_a_model_runs(
     def never(*_: object) -> None:
         raise AssertionError("a model ran")
 
-    monkeypatch.setattr(Encoders, "arrays", never)
+    monkeypatch.setattr(ConditionEncoder, "encode_text", never)
     with pytest.raises(InvalidInputError):
         pipe.generate(text, **options)  # type: ignore[arg-type]
 
@@ -143,9 +142,9 @@ def test_the_guidance_matters_and_one_is_the_conditional_alone(pipe: MotionPipel
 
 def with_base(pipe: MotionPipeline, base: str) -> MotionPipeline:
     """The same networks, and another answer to what guidance leads away from."""
-    other = copy.copy(pipe)
-    other.manifest = replace(pipe.manifest, defaults=replace(pipe.manifest.defaults, guidance_base=base))
-    return other
+    manifest = replace(pipe.manifest, defaults=replace(pipe.manifest.defaults, guidance_base=base))
+    encoder = pipe.encoder
+    return MotionPipeline(manifest, encoder.sessions, encoder.tokenizer, encoder.tables, pipe.parser)
 
 
 def test_what_guidance_leads_away_from_cancels_at_scale_one(pipe: MotionPipeline) -> None:
@@ -238,13 +237,12 @@ class StandIn:
         self.shapes.append(feeds["latent"].shape)
         finest = self.pipe.manifest.levels["specific"]
         zeros = np.zeros((len(feeds["latent"]), finest.tokens, finest.latent_width), dtype=np.float32)
-        found: list[np.ndarray] = self.pipe._sessions.decoder.run(names, {**feeds, "latent": zeros})
+        found: list[np.ndarray] = self.pipe.decoder.sessions.decoder.run(names, {**feeds, "latent": zeros})
         return found
 
 
 @pytest.mark.parametrize("weight", [1.0, 0.5])
 def test_each_coarser_level_is_shown_and_changes_nothing(pipe: MotionPipeline, weight: float) -> None:
-    own = copy.copy(pipe)
     decoder = StandIn(pipe)
     opened: list[str] = []
 
@@ -253,7 +251,7 @@ def test_each_coarser_level_is_shown_and_changes_nothing(pipe: MotionPipeline, w
         return decoder
 
     decoders = {level: partial(open_decoder, level) for level in ("motion", "action")}
-    own._sessions = replace(pipe._sessions, coarse_decoders=decoders)  # type: ignore[arg-type]
+    own = pipe.with_sessions(replace(pipe.decoder.sessions, coarse_decoders=decoders))  # type: ignore[arg-type]
     graph = with_weight(own.parse("a person walks slowly"), "slowly", weight)
     wish = {"seconds": 2, "seed": 7, "steps": FEW}
     shown: list[tuple[str, kinegraph.Clip]] = []
@@ -270,8 +268,7 @@ def test_each_coarser_level_is_shown_and_changes_nothing(pipe: MotionPipeline, w
 
 
 def test_a_bundle_without_coarse_decoders_shows_no_level(pipe: MotionPipeline) -> None:
-    bare = copy.copy(pipe)
-    bare._sessions = replace(pipe._sessions, coarse_decoders={})
+    bare = pipe.with_sessions(replace(pipe.decoder.sessions, coarse_decoders={}))
     shown: list[str] = []
     bare.compose(["a person walks"], seconds=1, seed=1, steps=1, on_level=lambda level, _: shown.append(level))
     assert shown == []

@@ -15,7 +15,7 @@ import numpy as np
 import onnxruntime
 
 from kinegraph.bundle.contract import PADDING_BIAS, LevelSpec, context_agd, denoiser_agd
-from kinegraph.diffusion.composition import CompositionWeights, combine_rows, plan_rows, agd_step_sizes
+from kinegraph.diffusion.composition import CompositionWeights, agd_step_sizes, combine_rows, plan_rows
 from kinegraph_export.graphs import export_graph
 from kinegraph_export.modules import AgdContextGraph, AgdDenoiserGraph, ContextGraph, DenoiserGraph
 from kinegraph_export.onnx_export import round_weights
@@ -164,7 +164,7 @@ MIXTURES = [
 def test_one_run_of_trained_modules_is_equations_7_to_10(
     mixture: CompositionWeights, gamma: tuple[float, float], coarse_tokens: int, tokens: int
 ) -> None:
-    n, joint = len(mixture.weights), len(mixture.joint)
+    n, joint = len(mixture.concepts), len(mixture.joint)
     case, scale, apart = made(coarse_tokens, tokens, 4, 0.0, n), 2.5, coarse_tokens > 0
     generator = torch.Generator().manual_seed(tokens)
     count = 2 + n + joint + len(mixture.negated)
@@ -181,8 +181,8 @@ def test_one_run_of_trained_modules_is_equations_7_to_10(
 
     null = eps((0, 1.0))
     base = eps((1, 1.0)) if apart else null
-    by_latent = null + scale * (base - null + added(2, mixture.weights, base))
-    mean = [(2 + k, w / sum(mixture.weights)) for k, w in enumerate(mixture.weights)]
+    by_latent = null + scale * (base - null + added(2, mixture.concepts, base))
+    mean = [(2 + k, w / sum(mixture.concepts)) for k, w in enumerate(mixture.concepts)]
     by_meaning = null + scale * (eps(*mean) - null) if mixture.lambdas[1] else null
     by_text = null + scale * added(2 + n, mixture.joint, null)
     fused = sum(share * term for share, term in zip(mixture.lambdas, (by_latent, by_meaning, by_text), strict=True))

@@ -21,7 +21,6 @@ import kinegraph
 from kinegraph import Concept, MotionPipeline
 from kinegraph.bundle.contract import LEVELS
 from kinegraph.bundle.manifest import Licence
-from kinegraph.bundle.tables import bones_of
 from kinegraph.concepts import METHODS
 from kinegraph.diffusion.sampling import LevelPlan, initial_noise
 from kinegraph.edits import with_weight, without
@@ -98,8 +97,8 @@ def test_the_runtime_moves_conditions_as_torch_does(trained: Path, bundle: Path)
     plans = [LevelPlan(name, spec.tokens, spec.latent_width, 1) for name, spec in pipe.manifest.levels.items()]
     noise = initial_noise(3, plans)
     request = Request(len(moved), noise, sampling.steps, sampling.guidance, sampling.guidance_base, agd)
-    expected = torch_joints(run, pipe._encoders.arrays(graph), request, own.mean, own.std)
-    np.testing.assert_allclose(moved, enforce_bone_lengths(expected, bones_of(pipe._tables)), atol=1e-4)
+    expected = torch_joints(run, pipe.encoder.encode_text([graph])[0], request, own.mean, own.std)
+    np.testing.assert_allclose(moved, enforce_bone_lengths(expected, pipe.decoder.bones), atol=1e-4)
     assert np.abs(moved - pipe.generate(graph, **how).joints).max() > 1e-3
     # One concept of weight 1 is itself by every method, and two in either order are the same motion.
     np.testing.assert_allclose(pipe.compose([graph], agd=agd, **how).joints, moved, atol=1e-4)
@@ -117,7 +116,7 @@ def test_the_coarse_decoders_are_those_of_their_autoencoders(trained: Path, bund
         own = read_vae(trained / "run" / f"vae_{level}" / "last.ckpt")
         spec = pipe.manifest.levels[level]
         latent = rng.standard_normal((2, spec.tokens, spec.latent_width)).astype(np.float32)
-        decoder = pipe._sessions.coarse_decoders[level]()
+        decoder = pipe.decoder.sessions.coarse_decoders[level]()
         (found,) = decoder.run(["features"], {"latent": latent, "frame_mask": mask})
         plain = torch.from_numpy(latent) * weights[f"{level}_scale"] + weights[f"{level}_centre"]
         with torch.no_grad():

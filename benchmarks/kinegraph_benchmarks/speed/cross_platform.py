@@ -48,9 +48,10 @@ class KeptText:
         return self.known[ids]
 
 
-def with_kept_text(pipe: MotionPipeline, known: dict[str, list[NDArray[np.float32]]]) -> None:
-    """From now on, captions in `known` are not encoded, and those that are come into it."""
-    pipe._sessions = replace(pipe._sessions, text_encoder=KeptText(pipe._sessions.text_encoder, known))
+def with_kept_text(pipe: MotionPipeline, known: dict[str, list[NDArray[np.float32]]]) -> MotionPipeline:
+    """Cache encoder outputs: captions in `known` are not encoded, and those that are come into it."""
+    sessions = pipe.encoder.sessions
+    return pipe.with_sessions(replace(sessions, text_encoder=KeptText(sessions.text_encoder, known)))
 
 
 def made(pipe: MotionPipeline) -> dict[str, Any]:
@@ -70,7 +71,7 @@ def made(pipe: MotionPipeline) -> dict[str, Any]:
 def saved(pipe: MotionPipeline) -> dict[str, Any]:
     """Clips by kind of call, and what the text encoder said of their captions."""
     known: dict[str, list[NDArray[np.float32]]] = {}
-    with_kept_text(pipe, known)
+    pipe = with_kept_text(pipe, known)
     clips = made(pipe)
     return clips | {f"{part} {ids}": said[k] for ids, said in known.items() for k, part in enumerate(PARTS)}
 
@@ -79,7 +80,7 @@ def compared(pipe: MotionPipeline, theirs: Mapping[str, NDArray[Any]]) -> dict[s
     """How far joints are apart, mm: whose text -> kind of call -> mean and max."""
     found = {"own text": made(pipe)}
     captions = {name.split(" ", 1)[1] for name in theirs if name.startswith(PARTS[0] + " ")}
-    with_kept_text(pipe, {ids: [theirs[f"{part} {ids}"] for part in PARTS] for ids in captions})
+    pipe = with_kept_text(pipe, {ids: [theirs[f"{part} {ids}"] for part in PARTS] for ids in captions})
     found["the other machine's text"] = made(pipe)
     return {
         whose: {name: distance(joints, theirs[name]) for name, joints in own.items()} for whose, own in found.items()

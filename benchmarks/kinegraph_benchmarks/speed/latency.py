@@ -20,7 +20,7 @@ from kinegraph.bench import GRAPH, machine
 from kinegraph.bundle.reader import read_bundle
 from kinegraph.bundle.sessions import available_cpus
 from kinegraph.concepts import DEFAULT_LAMBDAS
-from kinegraph.denoising import Denoisers
+from kinegraph.denoising import LatentSampler
 from kinegraph.diffusion.composition import CompositionWeights
 from kinegraph.options import resolve_options
 from kinegraph_benchmarks.common.report_io import write_report
@@ -33,10 +33,10 @@ PUBLISHED_STEPS = (15, 15, 20)
 """Of GraphMotion's levels."""
 
 
-def composed(denoisers: Denoisers, concepts: paper_size.Task) -> Arm:
+def composed(sampler: LatentSampler, concepts: paper_size.Task) -> Arm:
     """Three concepts and their joint text, fused: rows of `concepts` are four graphs."""
     mixture = CompositionWeights((1.0, 1.0, 1.0), (1.0,), lambdas=DEFAULT_LAMBDAS)
-    return lambda: denoisers.composed(concepts.encoded, mixture, concepts.options, None)
+    return lambda: sampler.sample(concepts.encoded, mixture, [concepts.options])
 
 
 def arms(quick: bool) -> tuple[dict[str, Arm], dict[str, Arm]]:
@@ -60,12 +60,12 @@ def arms(quick: bool) -> tuple[dict[str, Arm], dict[str, Arm]]:
     for precision in precisions:
         graphs = paper_size.exported(cross, task, precision)
         for threads in sorted({1, cpus}):
-            denoisers = paper_size.ours(graphs, task, threads)
+            sampler = paper_size.ours(graphs, task, threads)
             name = f"ours, {precision}, {threads} thread" + "s" * (threads > 1)
-            found[name] = lambda denoisers=denoisers: denoisers.guided(task.encoded, [task.options], None)
+            found[name] = lambda sampler=sampler: sampler.sample(task.encoded, None, [task.options])
             if precision == "int8":
                 fused[f"plain, {threads} threads"] = found[name]
-                fused[f"three concepts, {threads} threads"] = composed(denoisers, concepts)
+                fused[f"three concepts, {threads} threads"] = composed(sampler, concepts)
     return found, fused
 
 

@@ -19,8 +19,8 @@ from kinegraph.bundle.contract import LEVELS, NODE_KINDS, NULL_KIND, GraphContra
 from kinegraph.bundle.manifest import Manifest
 from kinegraph.bundle.reader import read_bundle
 from kinegraph.bundle.sessions import open_session, session_options
-from kinegraph.conditioning import Conditions, conditions, graph_structure
-from kinegraph.denoising import Denoisers
+from kinegraph.conditioning import Conditions, graph_structure, make_conditions
+from kinegraph.denoising import LatentSampler
 from kinegraph.diffusion.sampling import LevelPlan, ddim_coefficients, ddim_step, guide, initial_noise
 from kinegraph.graph import SemanticGraph
 from kinegraph.options import GenerateOptions
@@ -74,7 +74,7 @@ def paper_task(graph: SemanticGraph, options: GenerateOptions, copies: int = 1) 
     width = config.text_width
     arrays = SimpleNamespace(kind=kind, order=order, path_weight=path)
     nodes = np.random.default_rng(0).standard_normal((copies, len(kind), width)).astype(np.float32)
-    return Task(replace(read_bundle(None).manifest, levels=levels), options, conditions([arrays] * copies, nodes))
+    return Task(replace(read_bundle(None).manifest, levels=levels), options, make_conditions([arrays] * copies, nodes))
 
 
 def latent_shapes() -> dict[str, LatentShape]:
@@ -193,10 +193,10 @@ def exported(model: Hierarchy, task: Task, precision: Precision) -> dict[str, by
     return found
 
 
-def ours(graphs: dict[str, bytes], task: Task, threads: int) -> Denoisers:
-    """The runtime's own denoisers around exported graphs."""
+def ours(graphs: dict[str, bytes], task: Task, threads: int) -> LatentSampler:
+    """The runtime's own sampler around exported graphs."""
     sessions: dict[str, dict[str, Any]] = {"context": {}, "clock": {}, "step": {}}
     for name, data in graphs.items():
         part, _, level = name.partition("_")
         sessions[part][level] = open_session(data, task.contracts[name], session_options(threads))
-    return Denoisers(SimpleNamespace(**sessions), task.manifest)  # type: ignore[arg-type]
+    return LatentSampler(SimpleNamespace(**sessions), task.manifest)  # type: ignore[arg-type]

@@ -1,11 +1,13 @@
-"""Noise schedule of latent diffusion (Rombach et al.'s "scaled linear" betas, as MLD and GraphMotion use them).
+"""Diffusion sampling: noise schedule, DDIM step and classifier-free guidance as pure functions of arrays.
 
-Deterministic DDIM (Song et al., 2021, Eq. 12 with eta = 0) for models that predict the noise.
+    NoiseSchedule           alpha_bar_t, and the timesteps of a run
+    ddim_coefficients       what a DDIM step multiplies with, for all steps of a run
+    ddim_step               z_t -> z_{t-1}
+    guide                   classifier-free guidance
+    initial_noise           z_T of every level, drawn from one seed
 
-Classifier-free guidance (GraphMotion, Eq. A).
-
-Coarse-to-fine sampling (GraphMotion, section 3.3): motion, then action, then specific, each a DDIM run that
-sees the final latent of the level above."""
+The loop that uses them is `kinegraph.denoising.sample_hierarchy`.
+"""
 
 from __future__ import annotations
 
@@ -15,24 +17,29 @@ from functools import cached_property
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
-from kinegraph.arrays import FloatArray
-from kinegraph.errors import Cancelled, InvalidInputError, NonFiniteError
+from kinegraph.arrays import DoubleArray, FloatArray, IntArray
+from kinegraph.errors import InvalidInputError
 
 
 @dataclass(frozen=True)
 class NoiseSchedule:
-    """betas = linspace(sqrt(beta_start), sqrt(beta_end), train_steps)^2; alpha_bar_t = prod_s<=t (1 - beta_s)."""
+    """The "scaled linear" schedule of latent diffusion (Rombach et al., 2022), as MLD and GraphMotion use it.
+
+    betas = linspace(sqrt(beta_start), sqrt(beta_end), train_steps)^2; alpha_bar_t = prod_{s <= t} (1 - beta_s).
+
+    Raises:
+        InvalidInputError: no steps, betas outside 0 < beta_start <= beta_end < 1, or an unknown spacing.
+    """
 
     train_steps: int = 1000
     beta_start: float = 8.5e-4
     beta_end: float = 0.012
     steps_offset: int = 1
-    """Added to every timestep of `leading` spacing."""
+    """Added to every timestep of "leading" spacing."""
     spacing: Literal["leading", "trailing"] = "leading"
-    """`leading` counts up from the clean end (the published models); `trailing` starts at pure noise, which is
-    fairer when steps are few."""
+    """"leading" counts up from the clean end (the published models); "trailing" starts at pure noise, which is fairer
+    when steps are few."""
 
     def __post_init__(self) -> None:
         if self.train_steps < 1 or not 0 < self.beta_start <= self.beta_end < 1:
@@ -44,15 +51,15 @@ class NoiseSchedule:
             raise InvalidInputError(f"spacing must be 'leading' or 'trailing', not {self.spacing!r}")
 
     @cached_property
-    def alphas_cumprod(self) -> NDArray[np.float64]:
-        """alpha_bar, (train_steps,)."""
+    def alphas_cumprod(self) -> DoubleArray:
+        """Compute alpha_bar for every timestep: (train_steps,), read-only."""
         betas = np.linspace(self.beta_start**0.5, self.beta_end**0.5, self.train_steps) ** 2
-        table = np.cumprod(1.0 - betas).astype(np.float64, copy=False)
-        table.setflags(write=False)
-        return table
+        alpha_bar = np.cumprod(1.0 - betas).astype(np.float64, copy=False)
+        alpha_bar.setflags(write=False)
+        return alpha_bar
 
-    def timesteps(self, steps: int) -> NDArray[np.int64]:
-        """The timesteps of a run of `steps` steps, descending, (steps,).
+    def timesteps(self, steps: int) -> IntArray:
+        """Choose the timesteps of a run of `steps` steps: (steps,), descending.
 
         Raises:
             InvalidInputError: fewer than one step, or one that falls outside the table.
@@ -61,172 +68,114 @@ class NoiseSchedule:
             raise InvalidInputError(f"steps must be 1 to {self.train_steps}, not {steps}")
         if self.spacing == "leading":
             ratio = self.train_steps // steps
-            times = np.arange(steps - 1, -1, -1, dtype=np.int64) * ratio + self.steps_offset
+            timesteps = np.arange(steps - 1, -1, -1, dtype=np.int64) * ratio + self.steps_offset
         else:
-            ratio_exact = self.train_steps / steps
-            times = np.round(np.arange(self.train_steps, 0, -ratio_exact)).astype(np.int64)[:steps] - 1
-        if times[0] >= self.train_steps:
+            exact_ratio = self.train_steps / steps
+            timesteps = np.round(np.arange(self.train_steps, 0, -exact_ratio)).astype(np.int64)[:steps] - 1
+        if timesteps[0] >= self.train_steps:
             raise InvalidInputError(
-                f"{steps} steps would start at timestep {times[0]} of a schedule of {self.train_steps}; take fewer"
+                f"{steps} steps would start at timestep {timesteps[0]} of a schedule of {self.train_steps}; take fewer"
             )
-        return times
+        return timesteps
 
 
 @dataclass(frozen=True)
 class DdimCoefficients:
-    """One step is `latent * keep[i] + noise * move[i]`.
+    """Factors of deterministic DDIM steps (Song et al., 2021, Eq. 12 with eta = 0) for models that predict the noise.
 
-    With a = alpha_bar at the step and a' = alpha_bar after it:
-    z0 = (z - sqrt(1 - a) eps) / sqrt(a) and z' = sqrt(a') z0 + sqrt(1 - a') eps, hence
-    keep = sqrt(a' / a) and move = sqrt(1 - a') - sqrt(a' / a) sqrt(1 - a).
+    With a = alpha_bar at a step and a' = alpha_bar after it:
+
+        z_0 = (z_t - sqrt(1 - a) eps) / sqrt(a)          predicted clean latent
+        z_{t-1} = sqrt(a') z_0 + sqrt(1 - a') eps        moved back to the noise level a'
+
+    hence z_{t-1} = keep z_t + move eps with keep = sqrt(a' / a) and move = sqrt(1 - a') - keep sqrt(1 - a).
     """
 
-    timesteps: NDArray[np.int64]
-    """(steps,) descending."""
-    keep: NDArray[np.float64]
-    """(steps,)."""
-    move: NDArray[np.float64]
-    """(steps,)."""
+    timesteps: IntArray
+    """(K,) of K steps, descending."""
+    keep: DoubleArray
+    """(K,)."""
+    move: DoubleArray
+    """(K,)."""
 
 
 def ddim_coefficients(schedule: NoiseSchedule, steps: int) -> DdimCoefficients:
-    """Coefficients of a run of `steps` steps; the last one ends at alpha_bar[0], as in the published models.
+    """Compute the coefficients of a run of `steps` steps, which ends at alpha_bar[0] as in the published models.
 
     Raises:
         InvalidInputError: see `NoiseSchedule.timesteps`.
     """
     timesteps = schedule.timesteps(steps)
-    previous = timesteps - schedule.train_steps // steps
-    table = schedule.alphas_cumprod
-    alpha = table[timesteps]
-    alpha_next = np.where(previous >= 0, table[np.maximum(previous, 0)], table[0])
+    following = timesteps - schedule.train_steps // steps
+    alpha_bar = schedule.alphas_cumprod
+    alpha = alpha_bar[timesteps]
+    alpha_next = np.where(following >= 0, alpha_bar[np.maximum(following, 0)], alpha_bar[0])
     keep = np.sqrt(alpha_next / alpha)
     return DdimCoefficients(timesteps, keep, np.sqrt(1.0 - alpha_next) - keep * np.sqrt(1.0 - alpha))
 
 
-def ddim_step(latent: FloatArray, noise: FloatArray, coefficients: DdimCoefficients, step: int) -> FloatArray:
-    """The latent after step number `step`. latent and noise: equal shapes."""
-    keep, move = np.float32(coefficients.keep[step]), np.float32(coefficients.move[step])
-    return keep * latent + move * noise
+def ddim_step(latents: FloatArray, noise: FloatArray, ddim: DdimCoefficients, index: int) -> FloatArray:
+    """Take step `index` of a run, z_t -> z_{t-1}; latents and predicted noise have equal shapes."""
+    return np.float32(ddim.keep[index]) * latents + np.float32(ddim.move[index]) * noise
 
 
 def guide(unconditional: FloatArray, conditional: FloatArray, scale: float) -> FloatArray:
-    """eps = eps_0 + s (eps_c - eps_0); s = 1 is the condition alone, s = 0 no condition. Equal shapes."""
+    """Apply classifier-free guidance, eps = eps_0 + s (eps_c - eps_0) (GraphMotion, Eq. A).
+
+    s = 1 is the condition alone, s = 0 the unconditional model. All shapes are equal.
+    """
     return unconditional + np.float32(scale) * (conditional - unconditional)
-
-
-Predict = Callable[[FloatArray, int], FloatArray]
-"""(latent (B, C, z), step number) -> guided noise (B, C, z)."""
-
-PredictorFor = Callable[[int, DdimCoefficients, FloatArray | None], Predict]
-"""(level number, its coefficients, latent of the level above) -> predictor; called once per level."""
 
 
 @dataclass(frozen=True)
 class LevelPlan:
-    """One level of a run."""
+    """Size and number of steps of one level."""
 
     name: str
     tokens: int
+    """Latent tokens C."""
     latent_width: int
+    """Width z of a token."""
     steps: int
+    """Diffusion steps."""
 
 
 @dataclass(frozen=True)
 class StepInfo:
-    """Where a run stands after a step."""
+    """Where a run stands after a diffusion step."""
 
     level: str
+    """Name of the level, see `bundle.contract.LEVELS`."""
     step: int
     """1 .. steps."""
     steps: int
-    """Of this level."""
+    """Steps of this level."""
     done: int
     """Steps done over all levels."""
     total: int
+    """Steps of all levels."""
     timestep: int
-    """Of the schedule's table."""
+    """Timestep of the schedule, 0 is clean."""
 
+
+PredictNoise = Callable[[FloatArray, int], FloatArray]
+"""(latents (B, C, z), index of the step) -> guided and composed noise prediction (B, C, z)."""
 
 OnStep = Callable[[StepInfo], bool | None]
 """Called after every step; returning False stops the run."""
 
 
-OnLatent = Callable[[str, FloatArray], None]
-"""Called after every level with its name and its final latent (B, C, z)."""
-
-
-def subrange_progress(on_step: OnStep | None, place: int, parts: int) -> OnStep | None:
-    """The callback of run `place` of several alike, told where all of them stand together."""
+def subrange_progress(on_step: OnStep | None, index: int, count: int) -> OnStep | None:
+    """Make a callback for run `index` of `count` equal runs that reports the progress of all of them together."""
     if on_step is None:
         return None
-    return lambda info: on_step(replace(info, done=place * info.total + info.done, total=parts * info.total))
+    return lambda info: on_step(replace(info, done=index * info.total + info.done, total=count * info.total))
 
 
-def initial_noise(seed: int, plans: Sequence[LevelPlan]) -> tuple[FloatArray, ...]:
-    """One sample's starting noise per level, (C, z) each, drawn in the order of the levels from the sample's own
-    generator: neighbours in a batch do not change it, nor is any global state touched."""
+def initial_noise(seed: int, levels: Sequence[LevelPlan]) -> tuple[FloatArray, ...]:
+    """Draw z_T of one sample, (C, z) for each level in order, from `PCG64(seed)` alone.
+
+    Neighbours in a batch do not change it, and no global state is touched.
+    """
     generator = np.random.Generator(np.random.PCG64(seed))
-    return tuple(generator.standard_normal((plan.tokens, plan.latent_width), dtype=np.float32) for plan in plans)
-
-
-def sample_level(
-    latent: FloatArray, predict: Predict, coefficients: DdimCoefficients, after_step: Callable[[int], None]
-) -> FloatArray:
-    """One DDIM run from noise (B, C, z) to the final latent of the same shape.
-
-    `after_step(step)` may raise to stop.
-    """
-    for step in range(len(coefficients.timesteps)):
-        latent = ddim_step(latent, predict(latent, step), coefficients, step)
-        if not np.isfinite(latent).all():
-            raise NonFiniteError(f"the latent is not finite after step {step + 1}; the bundle's weights are broken")
-        after_step(step)
-    return latent
-
-
-def sample_hierarchy(
-    plans: Sequence[LevelPlan],
-    noises: Sequence[FloatArray],
-    predictor_for: PredictorFor,
-    schedule: NoiseSchedule,
-    on_step: OnStep | None = None,
-    on_latent: OnLatent | None = None,
-) -> tuple[FloatArray, ...]:
-    """Run all levels.
-
-    Args:
-        plans: coarse to fine.
-        noises: (B, C, z) per level.
-        predictor_for: makes a level's predictor; keys and values of the level are computed there, once.
-        schedule: of all levels.
-        on_step: told of every step; returning False stops.
-        on_latent: told of every level that is done.
-
-    Returns:
-        The final latent (B, C, z) of every level.
-
-    Raises:
-        Cancelled: `on_step` returned False.
-        NonFiniteError: a latent stopped being finite.
-    """
-    total = sum(plan.steps for plan in plans)
-    latents: list[FloatArray] = []
-    done = 0
-    for number, (plan, noise) in enumerate(zip(plans, noises, strict=True)):
-        coefficients = ddim_coefficients(schedule, plan.steps)
-        predict = predictor_for(number, coefficients, latents[-1] if latents else None)
-
-        def report(step: int, plan: LevelPlan = plan, done: int = done, times: DdimCoefficients = coefficients) -> None:
-            info = StepInfo(plan.name, step + 1, plan.steps, done + step + 1, total, int(times.timesteps[step]))
-            if on_step is not None and on_step(info) is False:
-                raise Cancelled(f"stopped by on_step at step {info.done} of {total}")
-
-        try:
-            latents.append(sample_level(noise, predict, coefficients, report))
-        except NonFiniteError as error:
-            raise NonFiniteError(f"level {plan.name}: {error}") from error
-        done += plan.steps
-        if on_latent is not None:
-            on_latent(plan.name, latents[-1])
-    return tuple(latents)
+    return tuple(generator.standard_normal((level.tokens, level.latent_width), dtype=np.float32) for level in levels)

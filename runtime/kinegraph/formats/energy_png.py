@@ -1,4 +1,4 @@
-"""`.png` of energy maps: one contour map per prediction, on one scale of colours. Needs the `plot` extra."""
+"""Draw energy maps as a `.png`: one contour map per prediction, on one colour scale. Needs the `plot` extra."""
 
 from __future__ import annotations
 
@@ -17,46 +17,46 @@ if TYPE_CHECKING:
 CONTOURS: Final = 13
 PER_LINE: Final = 4
 BESIDE: Final = 0.05
-"""Of the map's side: a sample further from the plane is drawn hollow."""
+"""Share of the map's side: a sample further from the plane is drawn hollow."""
 _OWN, _OTHERS = "#dc2626", "#fafafa"
 
 
-def encode(found: EnergyMaps) -> bytes:
-    """The picture's bytes; equal maps give equal bytes."""
+def encode(energies: EnergyMaps) -> bytes:
+    """Encode energy maps as PNG; equal maps give equal bytes."""
     from matplotlib.figure import Figure
 
-    lines = -(-len(found.maps) // PER_LINE)
-    columns = min(len(found.maps), PER_LINE)
+    lines = -(-len(energies.maps) // PER_LINE)
+    columns = min(len(energies.maps), PER_LINE)
     figure = Figure(figsize=(2.6 * columns + 0.8, 3.0 * lines + 0.4), dpi=80, layout="constrained")
     axes = figure.subplots(lines, columns, squeeze=False)
-    highest = max(1e-6, *(float(one.energy.max()) for one in found.maps))
+    highest = max(1e-6, *(float(energy_map.energy.max()) for energy_map in energies.maps))
     # rings of a bowl are evenly spaced when their heights grow with the square
     levels = highest * np.linspace(0, 1, CONTOURS) ** 2
-    for number, (axis, own) in enumerate(zip(axes.flat, found.maps, strict=False), start=1):
-        filled = axis.contourf(found.first, found.second, own.energy, levels=levels, cmap="viridis")
-        axis.contour(found.first, found.second, own.energy, levels=levels, colors=_OTHERS, linewidths=0.4)
-        _draw_samples(axis, found, own)
-        axis.set_title(_title(number, own.label), fontsize=8, color=GREY)
+    for number, (axis, energy_map) in enumerate(zip(axes.flat, energies.maps, strict=False), start=1):
+        filled = axis.contourf(energies.first, energies.second, energy_map.energy, levels=levels, cmap="viridis")
+        axis.contour(energies.first, energies.second, energy_map.energy, levels=levels, colors=_OTHERS, linewidths=0.4)
+        _draw_samples(axis, energies, energy_map)
+        axis.set_title(_title(number, energy_map.label), fontsize=8, color=GREY)
         axis.set_aspect("equal")
         axis.tick_params(labelsize=6, colors=GREY)
-    for axis in axes.flat[len(found.maps) :]:
+    for axis in axes.flat[len(energies.maps) :]:
         axis.axis("off")
     bar = figure.colorbar(filled, ax=axes, shrink=0.8, pad=0.01, ticks=levels[::4], format="%.2g")
     bar.set_label("energy above the lowest", fontsize=7, color=GREY)
     bar.ax.tick_params(labelsize=6, colors=GREY)
-    rest = max(own.rest for own in found.maps)
+    rest = max(energy_map.rest for energy_map in energies.maps)
     note = (
         "stars and dots: where samples end, hollow beside the plane; unit: standard deviation of the specific latent; "
-        f"timestep {found.timestep}; at most {rest:.0%} of the noise is no gradient"
+        f"timestep {energies.timestep}; at most {rest:.0%} of the noise is no gradient"
     )
     figure.supxlabel(note, fontsize=7, color=GREY)
     return png_bytes(figure)
 
 
-def _draw_samples(axis: Axes, found: EnergyMaps, own: EnergyMap) -> None:
-    """Where all samples end, this map's own as a star; hollow where it is beside the plane."""
-    size = found.first[-1] - found.first[0]
-    for number, other in enumerate(found.maps, start=1):
+def _draw_samples(axis: Axes, energies: EnergyMaps, own: EnergyMap) -> None:
+    """Mark where all samples end: this map's own as a star, hollow where it lies beside the plane."""
+    size = energies.first[-1] - energies.first[0]
+    for number, other in enumerate(energies.maps, start=1):
         if other is not own:
             x, y = other.sample
             axis.plot(x, y, "o", color=_OTHERS, markersize=3)
@@ -66,5 +66,5 @@ def _draw_samples(axis: Axes, found: EnergyMaps, own: EnergyMap) -> None:
 
 
 def _title(number: int, label: str) -> str:
-    """At most three lines."""
+    """Wrap the title of a map to at most three lines."""
     return "\n".join(textwrap.wrap(title_line(f"{number}. {label}", 90), 34)[:3])
