@@ -1,4 +1,4 @@
-"""kinegraph: a sentence in, a clip of human motion out, on a plain CPU.
+"""kinegraph: text to human motion on a plain CPU.
 
 from kinegraph import MotionPipeline
 
@@ -34,12 +34,12 @@ if TYPE_CHECKING:
 
 __version__ = "0.6.0"
 
-# From 1.32 on, importing onnxruntime writes a device number into the user's home and may send events to its maker. Not
-# from here: unless the host has said something else, or has imported onnxruntime already.
+# From 1.32 on, importing onnxruntime writes a device number into the user's home and may send events to its maker. Turn
+# that off, unless the host has set the variable or has imported onnxruntime already.
 os.environ.setdefault("ORT_DISABLE_TELEMETRY", "1")
 
-# Loaded at first use: `kinegraph --help`, or a program that only reads clips, need not wait for onnxruntime.
-_HOMES: Final[dict[str, str]] = {
+# Imported at first use: `kinegraph --help`, or a program that only reads clips, need not wait for onnxruntime.
+_MODULES: Final[dict[str, str]] = {
     "BundleError": "kinegraph.errors",
     "BundleFormatError": "kinegraph.errors",
     "BundleIntegrityError": "kinegraph.errors",
@@ -77,11 +77,11 @@ __all__ = [
 
 
 def __getattr__(name: str) -> object:
-    home = _HOMES.get(name)
-    if home is None:
+    module = _MODULES.get(name)
+    if module is None:
         raise AttributeError(f"module 'kinegraph' has no attribute {name!r}")
-    return getattr(import_module(home), name)
+    return getattr(import_module(module), name)
 
 
 def __dir__() -> list[str]:
-    return sorted({*globals(), *_HOMES})
+    return sorted({*globals(), *_MODULES})

@@ -1,4 +1,4 @@
-"""Array types that all modules share, and the check that numbers are numbers."""
+"""Array types that all modules share, and the check for NaN and infinity."""
 
 from __future__ import annotations
 
@@ -10,24 +10,24 @@ from numpy.typing import NDArray
 from kinegraph.errors import NonFiniteError
 
 FloatArray = NDArray[np.float32]
-"""What models take and give, and joints in metres."""
+"""Single precision: inputs and outputs of models, joints in metres."""
 DoubleArray = NDArray[np.float64]
-"""What is computed more exactly than models do."""
+"""Double precision, for maths outside the models."""
 Floats = NDArray[np.floating[Any]]
-"""Either of the two: functions that keep the precision they are given."""
+"""Either precision; functions on it keep that of their arguments."""
 IntArray = NDArray[np.int64]
 """Token ids, indices, timesteps, frames."""
 
 
 def require_finite(values: FloatArray, stage: str) -> FloatArray:
-    """Return `values` as they are, or refuse NaN and infinity.
+    """Return `values` unchanged, or refuse NaN and infinity.
 
     Args:
         values: any shape.
-        stage: what produced them, for the message.
+        stage: what computed them, for the message.
 
     Raises:
-        NonFiniteError: naming the stage.
+        NonFiniteError: a value is not finite; the message names the stage.
     """
     if not np.isfinite(values).all():
         raise NonFiniteError(f"{stage} produced NaN or infinity; the bundle's weights are broken")

@@ -1,4 +1,4 @@
-"""What `generate` returns: joints over time, with all that is needed to make the same clip again."""
+"""`Clip`: a motion as joints over time, with everything needed to generate it again."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from kinegraph.motion.skeleton import DEFAULT_NAMES, JOINTS
 
 @dataclass(frozen=True, eq=False)
 class Clip:
-    """A motion of the 22-joint body of `skeleton`.
+    """A motion of the 22-joint body of `motion.skeleton`.
 
     Raises:
         InvalidInputError: a field has the wrong shape or type, or a joint is not finite.
@@ -31,22 +31,22 @@ class Clip:
     """Frames per second, 1 to 240."""
 
     seed: int
-    """Of the noise it was made from."""
+    """Seed of the noise it was generated from."""
 
     text: str
-    """The sentence it was made for."""
+    """Caption it was generated for."""
 
     bundle: str
-    """Name and version of the bundle that made it."""
+    """Name and version of the bundle that generated it."""
 
     graph: SemanticGraph | None = None
-    """The graph it was made from, edits included; None where there was none, or more than one."""
+    """Semantic graph it was generated from, edits included; None where there was none, or more than one."""
 
     loops: bool = False
-    """Whether its last frame is its first again, but for travel (`make_loop`); files do not say so."""
+    """Whether the last frame equals the first but for travel (`make_loop`); files do not store it."""
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "joints", _checked_joints(self.joints))
+        object.__setattr__(self, "joints", _validate_joints(self.joints))
         check_fps(self.fps)
         whole = isinstance(self.seed, int | np.integer) and not isinstance(self.seed, bool)
         if not whole or not 0 <= self.seed < 2**63:
@@ -71,36 +71,44 @@ class Clip:
         """Seconds; every frame is shown for 1 / fps."""
         return self.frames / self.fps
 
+    @property
+    def shown(self) -> FloatArray:
+        """Frames of a moving picture, each shown for 1 / fps: all but the one that closes a loop."""
+        return self.joints[:-1] if self.loops and self.frames > 1 else self.joints
+
     def resampled(self, fps: float) -> Clip:
-        """The same motion at another frame rate, 1 to 240; see `retiming.resample`.
+        """Resample to another frame rate; see `motion.resampling.resample`.
+
+        Args:
+            fps: frames per second, 1 to 240.
 
         Raises:
-            InvalidInputError: the frame rate is none.
+            InvalidInputError: not a frame rate.
         """
         check_fps(fps)
         joints = resample(self.joints, self.fps, float(fps), loops=self.loops)
         return replace(self, joints=joints, fps=float(fps))
 
     def in_place(self) -> Clip:
-        """Without travel over the floor, for games that move the character themselves; a loop, which has to be made
-        first, ends facing where it began."""
+        """Remove travel over the floor, for games that move the character themselves.
+
+        To get a loop in place, call `looped` first: a loop then also ends facing where it began.
+        """
         return replace(self, joints=in_place(self.joints, loops=self.loops))
 
     def looped(self, *, foot_fix: bool = True) -> Clip:
-        """Shorter, and such that it can be played round and round; see `looping.make_loop`.
+        """Cut and blend the clip into a loop; see `motion.blending.make_loop`.
 
-        Its last frame is its first again, one round later, as animation programs, engines and players of glTF expect:
-        a round takes (frames - 1) / fps seconds. `.gif` and `.mp4`, which show every frame, leave it out.
+        The last frame is the first again, one round later, as animation programs, engines and glTF players expect: a
+        round takes (frames - 1) / fps seconds. `.gif` and `.mp4`, which show every frame, leave it out.
+
+        Args:
+            foot_fix: lock planted feet, also over the seam.
 
         Raises:
             InvalidInputError: fewer than 8 frames.
         """
         return replace(self, joints=make_loop(self.joints, self.fps, foot_fix=foot_fix), loops=True)
-
-    @property
-    def shown(self) -> FloatArray:
-        """Frames as a moving picture shows them, each for 1 / fps: without the one that closes a loop."""
-        return self.joints[:-1] if self.loops and self.frames > 1 else self.joints
 
     def save(self, path: str | os.PathLike[str], *, force: bool = False, names: str = DEFAULT_NAMES) -> None:
         """Write a file; its suffix chooses the format (`formats.WRITERS`).
@@ -110,32 +118,39 @@ class Clip:
         Args:
             path: file to write, in a folder that exists.
             force: replace an existing file.
-            names: what `.bvh` and `.glb` call the joints: "smpl" or "mixamo".
+            names: naming convention of the joints in `.bvh` and `.glb`: "smpl" or "mixamo".
 
         Raises:
-            InvalidInputError: there is no such convention of names, or the format has none.
+            InvalidInputError: unknown naming convention, or the format has none.
             OutputError: the file cannot be written there; see `files.check_target`.
+            MissingExtraError: the format needs a package that is not installed.
         """
-        from kinegraph.formats import WRITERS, check_clip_target, encode  # formats know clips, not the other way round
+        # imported here because formats know clips, not the other way round
+        from kinegraph.formats import WRITERS, check_clip_target, encode
 
         check_clip_target(path, force)
         write_atomically(path, encode(self, suffix_of(path, WRITERS), names), force=force)
 
 
-def _checked_joints(joints: object) -> FloatArray:
+def _validate_joints(joints: object) -> FloatArray:
+    """Copy joints to a read-only array, or refuse them.
+
+    Raises:
+        InvalidInputError: not real numbers, another shape, or not finite.
+    """
     try:
-        given = np.asarray(joints)
+        array = np.asarray(joints)
     except ValueError as error:
         raise InvalidInputError(f"joints are no array of numbers ({error})") from error
-    if given.dtype.kind not in "fiu":
-        raise InvalidInputError(f"joints have type {given.dtype}; they must be real numbers")
-    if given.ndim != 3 or given.shape[1:] != (JOINTS, 3) or len(given) == 0:
+    if array.dtype.kind not in "fiu":
+        raise InvalidInputError(f"joints have type {array.dtype}; they must be real numbers")
+    if array.ndim != 3 or array.shape[1:] != (JOINTS, 3) or len(array) == 0:
         allowed = f"(frames, {JOINTS}, 3) with at least one frame"
-        raise InvalidInputError(f"joints have shape {given.shape}; it must be {allowed}")
+        raise InvalidInputError(f"joints have shape {array.shape}; it must be {allowed}")
     with np.errstate(over="ignore"):
-        own = np.array(given, dtype=np.float32)
-    if not np.isfinite(own).all():
-        frame, joint, _ = np.argwhere(~np.isfinite(own))[0]
+        copy = np.array(array, dtype=np.float32)
+    if not np.isfinite(copy).all():
+        frame, joint, _ = np.argwhere(~np.isfinite(copy))[0]
         raise InvalidInputError(f"joint {joint} of frame {frame} is not finite; joints must be finite metres")
-    own.flags.writeable = False
-    return own
+    copy.flags.writeable = False
+    return copy

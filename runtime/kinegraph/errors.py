@@ -1,6 +1,6 @@
-"""Every error kinegraph raises on purpose; catch `KinegraphError` to catch them all.
+"""Errors that kinegraph raises on purpose; catch `KinegraphError` to catch them all.
 
-A message names the value that was wrong, what is allowed, and what to do next.
+Every message names the wrong value, what is allowed, and what to do next.
 """
 
 from __future__ import annotations
@@ -11,11 +11,11 @@ class KinegraphError(Exception):
 
 
 class InvalidInputError(KinegraphError, ValueError):
-    """The caller's text, graph or option is outside what the model takes. Nothing has been run."""
+    """A text, graph or option is outside what the model accepts; no model has run."""
 
 
 class InvalidGraphError(InvalidInputError):
-    """A semantic graph breaks the format, or an edit names what does not exist."""
+    """A semantic graph breaks the format, or an edit names a node or edge that does not exist."""
 
 
 class BundleError(KinegraphError):
@@ -23,7 +23,7 @@ class BundleError(KinegraphError):
 
 
 class BundleFormatError(BundleError):
-    """The manifest breaks the format: unknown key, wrong type, wrong version, path outside the folder."""
+    """The manifest breaks the format: unknown key, wrong type or version, path outside the folder."""
 
 
 class BundleIntegrityError(BundleError):
@@ -35,7 +35,7 @@ class MissingExtraError(KinegraphError, ImportError):
 
 
 class OutputError(KinegraphError, OSError):
-    """The result cannot be written where the caller asked."""
+    """The result cannot be written to the path that the caller chose."""
 
 
 class NonFiniteError(KinegraphError, ArithmeticError):
@@ -43,4 +43,4 @@ class NonFiniteError(KinegraphError, ArithmeticError):
 
 
 class Cancelled(KinegraphError):
-    """`on_step` asked to stop."""
+    """The caller's `on_step` stopped the run."""

@@ -1,4 +1,7 @@
-"""Where a file may be written, and writing it so that it appears complete or not at all."""
+"""Checks of output paths, and atomic writes: a file appears complete or not at all.
+
+A leaf: formats, the command line, training and benchmarks all write through it.
+"""
 
 from __future__ import annotations
 
@@ -13,12 +16,12 @@ from kinegraph.errors import OutputError
 
 
 def check_target(path: str | os.PathLike[str], force: bool, suffixes: Collection[str]) -> None:
-    """Refuse a target that could not be written, before anything is computed for it.
+    """Refuse a path that could not be written, before anything is computed for it.
 
     Args:
         path: file to write; its suffix chooses the format.
         force: whether an existing file may be replaced.
-        suffixes: the formats that there are.
+        suffixes: known formats.
 
     Raises:
         OutputError: unknown suffix, missing or unwritable folder, a directory or device, or an existing file
@@ -42,16 +45,20 @@ def check_target(path: str | os.PathLike[str], force: bool, suffixes: Collection
 
 
 def suffix_of(path: str | os.PathLike[str], suffixes: Collection[str]) -> str:
-    """Return the one of `suffixes` that a file name ends in.
+    """Return the suffix of a file name, in lower case.
+
+    Args:
+        path: file name.
+        suffixes: known formats.
 
     Raises:
-        OutputError: there is no such format.
+        OutputError: the suffix is none of `suffixes`.
     """
     suffix = Path(path).suffix.lower()
     if suffix not in suffixes:
         known = ", ".join(sorted(suffixes))
-        said = f"the suffix {suffix!r}" if suffix else "no suffix"
-        raise OutputError(f"{str(path)!r} has {said}; it can be saved as {known}")
+        actual = f"the suffix {suffix!r}" if suffix else "no suffix"
+        raise OutputError(f"{str(path)!r} has {actual}; it can be saved as {known}")
     return suffix
 
 
@@ -62,12 +69,12 @@ def write_atomically(path: str | os.PathLike[str], data: bytes, *, force: bool =
 
     Args:
         path: file to write.
-        data: what it holds.
-        force: replace a file that is there, also one that came while `data` was made.
+        data: content of the file.
+        force: replace an existing file, also one that appeared while `data` was computed.
 
     Raises:
-        OutputError: the disk is full, the folder cannot be written, or there is a file and no `force`; the target is
-            as it was before.
+        OutputError: the disk is full, the folder cannot be written, or the file exists without `force`. The target
+            is then as it was before.
     """
     target = Path(os.path.realpath(path))
     temporary = target.parent / f".kinegraph-{secrets.token_hex(8)}.tmp"
@@ -81,14 +88,15 @@ def write_atomically(path: str | os.PathLike[str], data: bytes, *, force: bool =
             f"{str(path)!r} cannot be written ({_reason(error)}); free some space or choose another folder"
         ) from error
     finally:
-        # Gone already if the rename took place; left behind by nothing, not even Ctrl-C. Where nothing may be written
-        # there is nothing to take away, and the reason has been given.
+        # Remove the temporary file after any failure, even Ctrl-C; after the rename it is gone already. On a read-only
+        # file system there is nothing to remove, and the error above says why.
         with contextlib.suppress(OSError):
             temporary.unlink(missing_ok=True)
 
 
 def _write(temporary: Path, data: bytes) -> None:
-    # Not tempfile: its files are private (0600), and a clip should have the permissions of any new file.
+    """Write and sync a new file."""
+    # not tempfile: its files are private (0600), and a clip should have the permissions of any new file
     handle = os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_EXCL | getattr(os, "O_BINARY", 0), 0o666)
     with os.fdopen(handle, "wb") as file:
         file.write(data)
@@ -97,14 +105,14 @@ def _write(temporary: Path, data: bytes) -> None:
 
 
 def _rename(temporary: Path, target: Path, force: bool) -> None:
-    """Give a file its name; without `force` in one step that fails where there is one of that name."""
+    """Rename a file; without `force` in one atomic step that fails if the target exists."""
     if not force:
         try:
             os.link(temporary, target)
             return
         except FileExistsError:
             raise
-        except (OSError, AttributeError, NotImplementedError):  # a file system or system without hard links
+        except (OSError, AttributeError, NotImplementedError):  # no hard links on this system or file system
             if target.exists():
                 raise FileExistsError(str(target)) from None
     temporary.replace(target)
@@ -115,7 +123,11 @@ def _exists(name: str) -> str:
 
 
 def _mode(path: Path) -> int | None:
-    """Kind and permissions of what is there, None where nothing is."""
+    """Return the file type and permissions at a path, None where nothing exists.
+
+    Raises:
+        OutputError: the system refuses the path.
+    """
     try:
         return path.stat().st_mode
     except (FileNotFoundError, NotADirectoryError):
@@ -125,11 +137,12 @@ def _mode(path: Path) -> int | None:
 
 
 def _check_folder(target: Path) -> None:
+    """Refuse a target whose folder is missing or cannot be written to."""
     folder = target.parent
     mode = _mode(folder)
     if mode is None or not stat.S_ISDIR(mode):
-        what = "does not exist" if mode is None else "is not a folder"
-        raise OutputError(f"the folder {str(folder)!r} {what}; make it first or choose another one")
+        problem = "does not exist" if mode is None else "is not a folder"
+        raise OutputError(f"the folder {str(folder)!r} {problem}; make it first or choose another one")
     if not os.access(folder, os.W_OK | os.X_OK):
         raise OutputError(f"the folder {str(folder)!r} cannot be written to; choose another one")
 

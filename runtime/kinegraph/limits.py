@@ -1,4 +1,4 @@
-"""Bounds on what one call may ask for; beyond them a typed error is raised before any model runs."""
+"""Limits of one call; beyond them a typed error is raised before any model runs."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ MAX_TEXT: Final = 512
 """Characters of a caption."""
 
 MAX_PIECES: Final = 512
-"""Word pieces of a caption, the two special ones included: the positions that the text encoder has learnt."""
+"""Word pieces of a caption, two special ones included: the positions that the text encoder was trained with."""
 
 MAX_NODES: Final = 32
 """Nodes of one semantic graph, the motion node included."""

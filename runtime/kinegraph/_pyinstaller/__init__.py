@@ -1,4 +1,4 @@
-"""Found by PyInstaller through an entry point, so that a frozen program needs no flags for kinegraph."""
+"""PyInstaller hooks, registered as an entry point: a frozen program needs no flags for kinegraph."""
 
 from __future__ import annotations
 
@@ -6,5 +6,5 @@ from pathlib import Path
 
 
 def hook_directories() -> list[str]:
-    """Folders with `hook-*.py` files."""
+    """List the folders with `hook-*.py` files."""
     return [str(Path(__file__).parent)]

@@ -1,4 +1,4 @@
-"""What PyInstaller cannot see: the default bundle, the parts of pages, and modules that are imported by name."""
+"""Collect what PyInstaller cannot see: the default bundle, the viewer's files, and formats imported by name."""
 
 from PyInstaller.utils.hooks import collect_data_files, collect_submodules
 

@@ -1,4 +1,7 @@
-"""Files a clip can be saved as, by suffix."""
+"""File formats a clip can be saved in, by suffix.
+
+Formats know clips, not the other way round: no module here imports `kinegraph.clip` when it is loaded.
+"""
 
 from __future__ import annotations
 
@@ -26,17 +29,40 @@ WRITERS: Final[dict[str, str]] = {
     ".npz": "kinegraph.formats.npz:encode",
     ".png": "kinegraph.formats.contact_sheet:encode",
 }
-"""Suffix -> module:function, `function(clip) -> bytes`; loaded when used: a format may need an optional package."""
+"""Suffix -> module:function, `function(clip) -> bytes`; imported when used, as some need optional packages."""
 
 NAMED: Final = frozenset((".bvh", ".glb"))
-"""Formats whose joints are named by convention."""
+"""Formats whose joints follow a naming convention."""
 
-_NEEDS: Final[dict[str, tuple[str, ...]]] = {".gif": ("PIL",), ".mp4": ("PIL", "av"), ".png": ("matplotlib",)}
-"""Suffix -> packages beyond numpy that its writer needs; the extra `plot` installs them."""
+_REQUIRED_PACKAGES: Final[dict[str, tuple[str, ...]]] = {
+    ".gif": ("PIL",),
+    ".mp4": ("PIL", "av"),
+    ".png": ("matplotlib",),
+}
+"""Suffix -> packages beyond numpy that its writer imports; the extra `plot` installs them."""
+
+
+def encode(clip: Clip, suffix: str, names: str = DEFAULT_NAMES) -> bytes:
+    """Encode a clip as the bytes of a file; equal clips give equal bytes.
+
+    Args:
+        clip: clip to encode.
+        suffix: a key of `WRITERS`.
+        names: naming convention of the joints, a key of `skeleton.CONVENTIONS`, in files for animation programs.
+
+    Raises:
+        InvalidInputError: unknown convention, or the format has none.
+        MissingExtraError: the format needs a package that is not installed.
+    """
+    check_names(suffix, names)
+    check_installed(suffix)
+    module, _, function = WRITERS[suffix].partition(":")
+    writer = cast("Callable[..., bytes]", getattr(import_module(module), function))
+    return writer(clip, names) if suffix in NAMED else writer(clip)
 
 
 def check_clip_target(path: str | os.PathLike[str], force: bool = False) -> None:
-    """Refuse a file that a clip could not be saved as, before anything is computed for it.
+    """Refuse a path that a clip could not be saved to, before anything is computed for it.
 
     Args:
         path: file to write; its suffix, one of `WRITERS`, chooses the format.
@@ -51,33 +77,22 @@ def check_clip_target(path: str | os.PathLike[str], force: bool = False) -> None
 
 
 def check_installed(suffix: str) -> None:
-    """Raise MissingExtraError where a format's package is not installed; nothing is imported."""
-    for package in _NEEDS.get(suffix, ()):
+    """Refuse a format whose optional package is not installed; imports nothing.
+
+    Raises:
+        MissingExtraError: naming the package and the extra that installs it.
+    """
+    for package in _REQUIRED_PACKAGES.get(suffix, ()):
         if find_spec(package) is None:
             raise MissingExtraError(f'{suffix} files need {package}: pip install "kinegraph[plot]"')
 
 
-def encode(clip: Clip, suffix: str, names: str = DEFAULT_NAMES) -> bytes:
-    """The bytes of a clip as a file of one kind; equal clips give equal bytes.
-
-    Args:
-        clip: what to write.
-        suffix: a key of `WRITERS`.
-        names: convention of the joints' names, `joint_names.CONVENTIONS`, in files for animation programs.
+def check_names(suffix: str, names: str) -> None:
+    """Refuse an unknown naming convention, or one for a format that does not name joints by convention.
 
     Raises:
-        InvalidInputError: there is no such convention, or the format has none.
-        MissingExtraError: the format needs a package that is not installed.
+        InvalidInputError: naming the conventions, or the formats that have them.
     """
-    check_names(suffix, names)
-    check_installed(suffix)
-    module, _, function = WRITERS[suffix].partition(":")
-    writer = cast("Callable[..., bytes]", getattr(import_module(module), function))
-    return writer(clip, names) if suffix in NAMED else writer(clip)
-
-
-def check_names(suffix: str, names: str) -> None:
-    """Refuse a convention of names that there is not, or that a format does not have."""
     if names not in CONVENTIONS:
         raise InvalidInputError(f"joint names must be one of {', '.join(CONVENTIONS)}, not {names!r}")
     if names != DEFAULT_NAMES and suffix not in NAMED:

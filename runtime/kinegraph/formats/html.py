@@ -1,7 +1,7 @@
-"""`.html`: clips as one page that needs nothing else: no network, no server, only a browser with WebGL.
+"""`.html`: clips as one page that works offline, without a server, in any browser with WebGL.
 
-The page is built from `viewer/` at the root of the repository; here its parts are put together with the clips, each as
-the gzipped GLB that `formats.glb` writes. Its content security policy lets it run its own script and load nothing.
+The page is built from `viewer/` at the root of the repository. Here its parts are put together with the clips, each as
+the gzipped GLB that `formats.glb` writes. Its content security policy allows the page's own script and nothing else.
 """
 
 from __future__ import annotations
@@ -22,52 +22,66 @@ from kinegraph.formats import glb
 if TYPE_CHECKING:
     from kinegraph.clip import Clip
 
-PARTS: Final = Path(__file__).parents[1] / "viewer"
-"""Folder of `clips_page.html`, `viewer.css` and `viewer.js`, which `npm run build` in `viewer/` makes."""
+VIEWER: Final = Path(__file__).parents[1] / "viewer"
+"""Folder of `page.html`, `viewer.css` and `viewer.js`, which `npm run build` in `viewer/` writes."""
 
 
 def encode(clip: Clip) -> bytes:
-    """The page of one clip."""
+    """Encode one clip as a page."""
     return clips_page([clip])
 
 
 def clips_page(clips: Sequence[Clip]) -> bytes:
-    """A page of one or more clips, side by side."""
-    return render_page(", ".join(clip.text for clip in clips), {"clips": [clip_record(clip) for clip in clips]})
+    """Render a page of one or more clips, side by side."""
+    title = ", ".join(clip.text for clip in clips)
+    return render_page(title, {"clips": [clip_record(clip) for clip in clips]})
 
 
 def clip_record(clip: Clip) -> dict[str, Any]:
-    """A clip as the page's script takes it."""
-    # Level 6 and no time of day: equal clips give equal bytes.
-    body = gzip.compress(glb.encode(clip), compresslevel=6, mtime=0)
+    """Describe a clip as the JSON object that the page's script reads."""
+    # fixed level and no time of day: equal clips give equal bytes
+    compressed = gzip.compress(glb.encode(clip), compresslevel=6, mtime=0)
     return {
         "text": clip.text,
-        "seed": str(clip.seed),  # beyond 2**53 JavaScript would round it
+        "seed": str(clip.seed),  # JavaScript would round it above 2**53
         "fps": clip.fps,
         "frames": clip.frames,
         "bundle": clip.bundle,
         "graph": None if clip.graph is None else clip.graph.to_dict(),
-        "glb": base64.b64encode(body).decode("ascii"),
+        "glb": base64.b64encode(compressed).decode("ascii"),
     }
 
 
 def render_page(title: str, data: object, connect: str = "'none'") -> bytes:
-    """The page with what its script reads; `connect` is where that may send requests to."""
+    """Fill the template of the page.
+
+    Args:
+        title: of the page; cut after 200 characters.
+        data: JSON value that the page's script reads.
+        connect: where the script may send requests to, a source list of `connect-src`.
+
+    Returns:
+        The page, UTF-8.
+    """
     parts = {
         "title": html.escape(title[:200]),
         "policy": content_security_policy(connect),
-        "style": _part("viewer.css"),
-        # "<" would let a caption close the element it stands in.
+        "style": _viewer_file("viewer.css"),
+        # an unescaped "<" in a caption could close the script element
         "data": json.dumps(data, ensure_ascii=False, separators=(",", ":")).replace("<", "\\u003c"),
-        "script": _part("viewer.js"),
+        "script": _viewer_file("viewer.js"),
     }
-    return re.sub(r"{{(\w+)}}", lambda found: parts[found[1]], _part("page.html")).encode()
+    return re.sub(r"{{(\w+)}}", lambda match: parts[match[1]], _viewer_file("page.html")).encode()
 
 
 def content_security_policy(connect: str) -> str:
-    """The content security policy of a page: its own script and style, and nothing from elsewhere."""
+    """Build the page's content security policy: its own script and style, nothing from elsewhere.
+
+    Args:
+        connect: source list of `connect-src`.
+    """
     script, style = (
-        base64.b64encode(hashlib.sha256(_part(name).encode()).digest()).decode("ascii")
+        base64.b64encode(hashlib.sha256(_viewer_file(name).encode()).digest()).decode("ascii")
         for name in ("viewer.js", "viewer.css")
     )
     return (
@@ -77,5 +91,5 @@ def content_security_policy(connect: str) -> str:
 
 
 @cache
-def _part(name: str) -> str:
-    return (PARTS / name).read_text(encoding="utf-8")
+def _viewer_file(name: str) -> str:
+    return (VIEWER / name).read_text(encoding="utf-8")

@@ -1,8 +1,12 @@
-"""`.json`: the clip as text that any language reads.
+"""`.json`: the clip as text that any language can read.
 
-What `.npz` holds, and the skeleton that turns: `joints` (frames, 22, 3) metres, Y up; `parents` (22), -1 for the root;
-`rest_offsets` (22, 3) metres from the parent in a T-pose; `rotations` (frames, 22, 4) quaternions w, x, y, z relative
-to the parent; the root is at joint 0. `seed` is a string: JavaScript's whole numbers end at 2**53.
+Holds what `.npz` holds, and the solved skeleton:
+
+    joints          (frames, 22, 3) metres, Y up
+    parents         (22,) indices, -1 for the root
+    rest_offsets    (22, 3) metres from the parent in a T-pose
+    rotations       (frames, 22, 4) quaternions w, x, y, z relative to the parent; the root is at joint 0
+    seed            a string, because JavaScript's integers end at 2**53
 """
 
 from __future__ import annotations
@@ -20,11 +24,11 @@ if TYPE_CHECKING:
     from kinegraph.clip import Clip
 
 DIGITS: Final = 5
-"""After the point: a hundredth of a millimetre, a thousandth of a degree."""
+"""Decimal places: a hundredth of a millimetre, a thousandth of a degree."""
 
 
 def encode(clip: Clip) -> bytes:
-    """The file of a clip, UTF-8; equal clips give equal bytes."""
+    """Encode a clip as JSON in UTF-8; equal clips give equal bytes."""
     motion = rotations_from_positions(clip.joints, clip.fps, loops=clip.loops)
     document = {
         "text": clip.text,
@@ -41,5 +45,6 @@ def encode(clip: Clip) -> bytes:
 
 
 def _rounded(values: NDArray[Any]) -> Any:
+    """Convert an array to nested lists of rounded numbers."""
     # adding 0.0 turns -0.0 into 0.0
     return (np.round(values.astype(np.float64), DIGITS) + 0.0).tolist()

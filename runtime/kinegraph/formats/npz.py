@@ -1,7 +1,7 @@
-"""`.npz`: the clip as NumPy arrays, without pickle.
+"""`.npz`: the clip as NumPy arrays, without pickle; the format that `read_npz` reads back.
 
-`joints` (frames, 22, 3) float32 metres, `fps`, `seed`, `text`, `joint_names`, `bundle`, and `graph`, the JSON of the
-semantic graph where the clip has one.
+Holds `joints` (frames, 22, 3) float32 metres, `fps`, `seed`, `text`, `joint_names`, `bundle`, and `graph`, the JSON of
+the semantic graph where the clip has one.
 """
 
 from __future__ import annotations
@@ -24,19 +24,24 @@ if TYPE_CHECKING:
     from kinegraph.clip import Clip
 
 _EPOCH: Final = (1980, 1, 1, 0, 0, 0)
+"""Earliest time that ZIP can store; used for every entry."""
 _UNIX: Final = 3
+"""Code of the system in a ZIP entry; the default would differ on Windows."""
 _UNREADABLE: Final = (
     *(OSError, EOFError, ValueError, KeyError, TypeError, AttributeError),
     *(NotImplementedError, RuntimeError, zlib.error, zipfile.BadZipFile),
 )
-"""What NumPy and zipfile raise over files that are no archive, cut short, encrypted or pickled."""
+"""Exceptions of NumPy and zipfile for files that are no archive, cut short, encrypted or pickled."""
 
 _NAMES: Final = ("joints", "fps", "seed", "text", "joint_names", "bundle")
 _GRAPH: Final = "graph"
 
 
 def encode(clip: Clip) -> bytes:
-    """The file of a clip. `numpy.savez` would put the time of day into it, and equal clips would differ."""
+    """Encode a clip as NPZ; equal clips give equal bytes.
+
+    `numpy.savez` would store the time of day.
+    """
     arrays: dict[str, NDArray[Any]] = {
         "joints": clip.joints.astype("<f4"),
         "fps": np.array(clip.fps, dtype="<f8"),
@@ -58,7 +63,10 @@ def encode(clip: Clip) -> bytes:
 
 
 def read_npz(path: str | os.PathLike[str]) -> Clip:
-    """The clip of a file that `encode` made.
+    """Read a clip that was saved as `.npz`.
+
+    Args:
+        path: file to read.
 
     Raises:
         InvalidInputError: no such file, or not a clip.
@@ -66,8 +74,8 @@ def read_npz(path: str | os.PathLike[str]) -> Clip:
     from kinegraph.clip import Clip
 
     try:
-        with np.load(Path(path), allow_pickle=False) as pack:
-            fields = {name: pack[name] for name in (*_NAMES, *({_GRAPH} & {*pack.files}))}
+        with np.load(Path(path), allow_pickle=False) as archive:
+            fields = {name: archive[name] for name in (*_NAMES, *({_GRAPH} & {*archive.files}))}
     except FileNotFoundError as error:
         raise InvalidInputError(f"there is no file {str(path)!r}; name a clip saved as .npz") from error
     except _UNREADABLE as error:
@@ -75,18 +83,19 @@ def read_npz(path: str | os.PathLike[str]) -> Clip:
     if tuple(fields["joint_names"].ravel().tolist()) != JOINT_NAMES:
         raise InvalidInputError(f"{str(path)!r} has other joints; kinegraph reads {', '.join(JOINT_NAMES)}")
     scalars = {name: fields[name] for name in ("fps", "seed", "text", "bundle", _GRAPH) if name in fields}
-    odd = [name for name, value in scalars.items() if value.shape != ()]
-    if odd:
-        raise InvalidInputError(f"{', '.join(odd)} of {str(path)!r} must be a single value each")
+    not_scalar = [name for name, value in scalars.items() if value.shape != ()]
+    if not_scalar:
+        raise InvalidInputError(f"{', '.join(not_scalar)} of {str(path)!r} must be a single value each")
     values = {name: value.item() for name, value in scalars.items()}
     try:
         graph = SemanticGraph.from_json(values.pop(_GRAPH)) if _GRAPH in values else None
-    except (InvalidGraphError, TypeError) as error:  # TypeError: it is no text
+    except (InvalidGraphError, TypeError) as error:  # TypeError: not a string
         raise InvalidInputError(f"{str(path)!r}: {error}") from error
     return Clip(joints=fields["joints"], graph=graph, **values)
 
 
 def _npy(array: NDArray[Any]) -> bytes:
+    """Encode one array in the `.npy` format."""
     buffer = io.BytesIO()
     np.lib.format.write_array(buffer, array, version=(1, 0), allow_pickle=False)
     return buffer.getvalue()
