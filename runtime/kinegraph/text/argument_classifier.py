@@ -219,7 +219,10 @@ def content_word(tokens: ParsedTokens, first: int, last: int, anchor: int) -> st
 
 
 def _subtree_overhang(tokens: ParsedTokens, first: int, last: int, anchor: int) -> str:
-    """Compare both ends of the head's subtree with the span: "<" lies to the left, ">" to the right of its end."""
+    """Compare the span with the subtree of its head at both ends.
+
+    "<" if the subtree reaches beyond the span, "=" if both end there, ">" if the span reaches beyond the subtree.
+    """
     left = "<" if tokens.first[anchor] < first else ("=" if tokens.first[anchor] == first else ">")
     right = "<" if tokens.last[anchor] > last else ("=" if tokens.last[anchor] == last else ">")
     return left + right

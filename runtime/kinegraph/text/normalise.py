@@ -30,8 +30,6 @@ _SIDE_FOLLOWERS = frozenset(
     "and or but then while when before after by for at with in around again until over along through on during"
     " from".split()
 )
-
-
 _INTRANSITIVE_FOLLOWERS = (
     _SIDE_FOLLOWERS
     | lexicon.DIRECTION_ADVERBS
