@@ -1,4 +1,4 @@
-"""BVH files of made-up motion, and the joints that they must give, by matrices."""
+"""BVH files of synthetic motion, and the joints they must give, computed with matrices."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def bvh_text(
     fps: float = 20.0,
     positions_everywhere: bool = False,
 ) -> tuple[str, np.ndarray]:
-    """A file of smooth made-up motion, and its joints (frames, 22, 3) in centimetres by matrices."""
+    """Write a file of smooth synthetic motion and compute its joints (frames, 22, 3) in centimetres."""
     rng = np.random.default_rng(len(names[0]))
     size, phase = rng.uniform(5, 25, (22, 3)), rng.uniform(0, 6, (22, 3))
     moments = np.arange(frames) / fps
@@ -66,7 +66,7 @@ def bvh_text(
         children = [child for child in range(22) if PARENTS[child] == joint]
         rotations = [f"{axis}rotation" for axis in order_of[joint]]
         channels = (["Xposition", "Yposition", "Zposition"] if with_position[joint] else []) + rotations
-        # Where position channels replace it, the OFFSET must not count.
+        # position channels replace OFFSET, so a wrong one must not matter
         offset = (1, 2, 3) if with_position[joint] else OFFSETS[joint]
         return [
             f"{'JOINT' if joint else 'ROOT'} {names[joint]}",
@@ -81,7 +81,7 @@ def bvh_text(
     def depth_first(joint: int) -> list[int]:
         return [joint, *(j for child in range(22) if PARENTS[child] == joint for j in depth_first(child))]
 
-    rows, places = [], np.zeros((frames, 22, 3))
+    rows, positions = [], np.zeros((frames, 22, 3))
     for frame in range(frames):
         numbers: list[float] = []
         for joint in depth_first(0):
@@ -90,23 +90,27 @@ def bvh_text(
         rows.append(" ".join(f"{number:.9f}" for number in numbers))
         axes: list[np.ndarray] = []
         for joint, parent in enumerate(PARENTS):
-            own = np.eye(3)
+            local = np.eye(3)
             for axis, angle in zip(order_of[joint], degrees[frame, joint], strict=True):
-                own = own @ turn(axis, np.radians(angle))
-            axes.append(own if parent < 0 else axes[parent] @ own)
-            places[frame, joint] = root[frame] if parent < 0 else places[frame, parent] + axes[parent] @ OFFSETS[joint]
+                local = local @ turn(axis, np.radians(angle))
+            if parent < 0:
+                axes.append(local)
+                positions[frame, joint] = root[frame]
+            else:
+                axes.append(axes[parent] @ local)
+                positions[frame, joint] = positions[frame, parent] + axes[parent] @ OFFSETS[joint]
     motion = ["MOTION", f"Frames: {frames}", f"Frame Time: {1 / fps:.8f}", *rows]
-    return "\n".join(["HIERARCHY", *lines(0), *motion]) + "\n", places
+    return "\n".join(["HIERARCHY", *lines(0), *motion]) + "\n", positions
 
 
 def folder_of(tmp_path: Path, files: dict[str, str], captions: dict[str, str] | None = None) -> list[str]:
-    """A folder of files with captions; the arguments that prepare them."""
+    """Write a folder of BVH files with captions and return the arguments that prepare them."""
     for name, text in files.items():
         path = tmp_path / "bvh" / name
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_text(text)
-    told = captions if captions is not None else dict.fromkeys(files, "a person moves")
-    (tmp_path / "c.csv").write_text("file,caption\n" + "".join(f"{k},{v}\n" for k, v in told.items()))
+    captions = captions if captions is not None else dict.fromkeys(files, "a person moves")
+    (tmp_path / "c.csv").write_text("file,caption\n" + "".join(f"{k},{v}\n" for k, v in captions.items()))
     return [
         "--bvh",
         str(tmp_path / "bvh"),
@@ -118,6 +122,7 @@ def folder_of(tmp_path: Path, files: dict[str, str], captions: dict[str, str] | 
 
 
 def prepared(tmp_path: Path, text: str, **options: object) -> np.ndarray:
+    """Prepare one BVH file: its joints (frames, 22, 3) in metres."""
     path = tmp_path / "one.bvh"
     path.write_text(text)
     return clip_joints(path, PrepareOptions(**options))  # type: ignore[arg-type]

@@ -1,5 +1,4 @@
-"""Motion for tests: a stick figure that walks, made with matrices only; recorded clips where they are at
-hand; how solved joints turn."""
+"""Motion for tests: a stick figure that walks, waves and bows, computed with matrices; recorded clips of ../shared."""
 
 from __future__ import annotations
 
@@ -40,7 +39,7 @@ BONES = (
 
 
 def turn(axis: str, angle: float) -> np.ndarray:
-    """Rotation matrix about x, y or z, radians, right-handed."""
+    """Build the right-handed rotation matrix about x, y or z, radians."""
     c, s = np.cos(angle), np.sin(angle)
     rows = {
         "x": [[1, 0, 0], [0, c, -s], [0, s, c]],
@@ -51,16 +50,16 @@ def turn(axis: str, angle: float) -> np.ndarray:
 
 
 def posed(root: np.ndarray, turns: dict[int, np.ndarray]) -> np.ndarray:
-    """(22, 3): the figure with some joints turned relative to their parents."""
-    places, axes = [np.asarray(root, dtype=np.float64)], [turns.get(0, np.eye(3))]
+    """Pose the figure with some joints turned relative to their parents: (22, 3)."""
+    positions, axes = [np.asarray(root, dtype=np.float64)], [turns.get(0, np.eye(3))]
     for joint, (parent, offset) in enumerate(BONES[1:], start=1):
-        places.append(places[parent] + axes[parent] @ np.array(offset))
+        positions.append(positions[parent] + axes[parent] @ np.array(offset))
         axes.append(axes[parent] @ turns.get(joint, np.eye(3)))
-    return np.stack(places)
+    return np.stack(positions)
 
 
 def t_pose(frames: int = 4) -> np.ndarray:
-    """(frames, 22, 3): standing still with the arms out, toes on the floor."""
+    """Stand still with the arms out, toes on the floor: (frames, 22, 3)."""
     pose = posed(np.zeros(3), {})
     pose[:, 1] -= pose[:, 1].min()
     return np.repeat(pose[None], frames, axis=0).astype(np.float32)
@@ -75,7 +74,7 @@ def walk(
     cadence: float = 0.35,
     swing: float = 0.5,
 ) -> np.ndarray:
-    """(frames, 22, 3): walks along its heading, `speed` m and `turning` radians (to the left) per frame.
+    """Walk along a heading that may turn: (frames, 22, 3) metres.
 
     Args:
         frames: at 20 per second.
@@ -85,7 +84,7 @@ def walk(
         cadence: radians of the step cycle per frame.
         swing: largest angle of a leg from the vertical, radians.
     """
-    place, rows = np.array([0.0, 0.95, 0.0]), []
+    root, rows = np.array([0.0, 0.95, 0.0]), []
     for frame in range(frames):
         phase, angle = cadence * frame, heading + turning * frame
         leg = swing * np.sin(phase)
@@ -106,15 +105,15 @@ def walk(
             18: turn("y", -0.3 - 0.2 * np.sin(phase)),
             19: turn("y", 0.3 - 0.2 * np.sin(phase)),
         }
-        rows.append(posed(place, turns))
-        place = place + speed * np.array([np.sin(angle), 0.0, np.cos(angle)])
+        rows.append(posed(root, turns))
+        root = root + speed * np.array([np.sin(angle), 0.0, np.cos(angle)])
     joints = np.stack(rows)
     joints[..., 1] -= joints[..., 1].min()
     return joints.astype(np.float32)
 
 
 def stand(frames: int = 40, *, wave: float = 0.0, bow: float = 0.0, rate: float = 0.6) -> np.ndarray:
-    """(frames, 22, 3): stands with hanging arms, and can wave the right hand and bow, both once and back.
+    """Stand with hanging arms, raise and wave the right hand, bow, and come back: (frames, 22, 3) metres.
 
     Args:
         frames: at 20 per second.
@@ -141,7 +140,7 @@ def stand(frames: int = 40, *, wave: float = 0.0, bow: float = 0.0, rate: float 
 
 
 def world_turns(joints: np.ndarray, fps: float = 20.0) -> np.ndarray:
-    """(frames, 22, 4) solved turns of every joint in the world."""
+    """Solve the rotation of every joint in world space: (frames, 22, 4) quaternions."""
     turns = np.array(rotations_from_positions(joints, fps).rotations)
     for joint in range(1, len(PARENTS)):
         turns[:, joint] = multiply(turns[:, PARENTS[joint]], turns[:, joint])
@@ -149,8 +148,10 @@ def world_turns(joints: np.ndarray, fps: float = 20.0) -> np.ndarray:
 
 
 def largest_twist(joints: np.ndarray, fps: float = 20.0) -> float:
-    """Degrees by which a limb turns about its own length from one frame to the next, at most: what is left of a joint's
-    turn when the shortest turn that moves its bone is taken away."""
+    """Find the largest twist of a limb about its own length between two frames, degrees.
+
+    The twist is the joint's rotation without the shortest rotation that moves its bone.
+    """
     turns, largest = world_turns(joints, fps), 0.0
     for joint, children in enumerate(CHILDREN):
         if len(children) == 1:
@@ -162,8 +163,7 @@ def largest_twist(joints: np.ndarray, fps: float = 20.0) -> float:
 
 
 def recorded(source: str = "bandai", count: int | None = None, split: str = "val") -> list[np.ndarray]:
-    """Recorded clips (frames, 22, 3) as the data has them, about `count` spread over the split; the test is skipped
-    where they are not at hand."""
+    """Read about `count` recorded clips (frames, 22, 3), spread over a split; skip the test where there are none."""
     path = shared_path("data", source, f"{split}.npz")
     with np.load(path, allow_pickle=False) as pack:
         offsets, joints, root, scale = pack["offsets"], pack["joints"], pack["root_xz"], pack["scale"]

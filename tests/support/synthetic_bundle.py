@@ -1,4 +1,4 @@
-"""A whole bundle of a few kilobytes made by the tests: graphs that keep the contract and compute nothing.
+"""A whole bundle of a few kilobytes whose graphs keep the contract and compute zeros.
 
 The ONNX files are written field by field, so that runtime tests need no onnx package.
 """
@@ -51,7 +51,7 @@ def varint(value: int) -> bytes:
 
 
 def field(number: int, value: int | str | bytes) -> bytes:
-    """One protobuf field: a varint, or a length and bytes."""
+    """Encode one protobuf field: a varint, or a length and bytes."""
     if isinstance(value, int):
         return varint(number << 3) + varint(value)
     data = value.encode() if isinstance(value, str) else value
@@ -75,9 +75,9 @@ def model(nodes: Sequence[bytes], inputs: bytes = b"", outputs: bytes = b"", ini
 
 
 def filler_model(contract: GraphContract) -> bytes:
-    """A model that onnxruntime loads, with the contract's inputs and outputs.
+    """Build a model that onnxruntime loads, with the contract's inputs and outputs.
 
-    Every output is zeros of a size no shape inference can tell, so that any declared shape is believed.
+    Every output is zeros of a size that shape inference cannot tell, so that any declared shape is accepted.
     """
     to_int = field(5, field(1, "to") + field(3, 7) + field(20, 2))
     nodes = [
@@ -98,7 +98,7 @@ def tables_npz(**changes: np.ndarray) -> bytes:
 
 
 def bundle_files() -> dict[str, bytes]:
-    """Content of every file of the synthetic bundle but the manifest."""
+    """Build the content of every file of the synthetic bundle but the manifest."""
     graphs = contracts(LEVEL_SPECS, TEXT_WIDTH, 137)
     files = {contract.file: filler_model(contract) for contract in graphs.values()}
     files["tokenizer.json"] = b'{"version": "1.0"}'
@@ -146,12 +146,12 @@ def write_bundle(folder: Path, contents: Mapping[str, bytes] | None = None, **ch
 
 
 def manifest_object() -> dict[str, Any]:
-    """The manifest as parsed JSON without its seal, for tests to break."""
+    """Return the manifest as parsed JSON without its seal, for tests to break."""
     value = json.loads(encode_manifest(manifest_for(bundle_files())))
     del value["sha256"]
     return value
 
 
 def sealed(value: object) -> bytes:
-    """JSON of a broken manifest with a right seal, so that only the decoder can object."""
+    """Encode a broken manifest with a valid seal, so that only the decoder can object."""
     return seal(json.dumps(value, indent=1).removesuffix("\n}").encode())

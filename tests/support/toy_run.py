@@ -1,4 +1,4 @@
-"""A run at the size of a toy: sixteen clips of a stick figure, three autoencoders, denoisers."""
+"""A training run of the preset `tiny`: sixteen clips of a stick figure, all stages, six steps each."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ ASSETS = Path(kinegraph.__file__).parent / "bundles" / "default"
 
 
 def write_walks(folder: Path) -> None:
-    """Sixteen clips of a stick figure; their captions name the side they turn to."""
+    """Write sixteen clips of a stick figure whose captions name the side they turn to."""
     clips = []
     for number in range(16):
         side = "left" if number % 2 else "right"
@@ -27,17 +27,19 @@ def write_walks(folder: Path) -> None:
 
 
 def stage(module: object, folder: Path, *more: str) -> None:
+    """Run one command of training on the data and the run in `folder`."""
     words = ["--data", str(folder / "data"), "--run", str(folder / "run"), "--preset", "tiny", "--threads", "1"]
     flags = ["--enable_progress_bar", "0", "--accelerator", "cpu"]
     module.main([*words, *more, *flags])  # type: ignore[attr-defined]
 
 
 def steps_of(checkpoint: Path) -> int:
+    """Read how many steps a checkpoint has been trained."""
     return int(torch.load(checkpoint, weights_only=True, map_location="cpu")["global_step"])
 
 
 def train(folder: Path) -> None:
-    """Data and all stages; the denoisers are stopped half-way, as a kill would, and go on by the same command."""
+    """Write the data and train all stages; the denoisers stop half-way and the same command resumes them."""
     write_walks(folder / "data")
     for level in ("motion", "action", "specific"):
         stage(train_vae, folder, "--level", level)
