@@ -1,49 +1,91 @@
-"""What tests of several folders share: a loaded bundle, its playground, and figures that stand at the end of the test
-output, passed or failed."""
+"""Fixtures of several folders, figures printed after the tests, and the option `--only-skipped`."""
 
 from __future__ import annotations
 
 import os
 from collections.abc import Callable, Iterator
+from pathlib import Path
 from typing import Final
 
 import pytest
 
 from kinegraph import MotionPipeline
 from support.playground import TEXT, PlaygroundClient, running_playground
+from support.toy import with_parser
 
 _FIGURE: Final = "figure"
+_SKIPPED: Final = "kinegraph/skipped"
+"""Key of pytest's cache: node ids of the tests and files that the last whole run skipped."""
 
 if "PYTEST_XDIST_WORKER" in os.environ:
     # every worker has a CPU; torch reads this when it is imported
     os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="session")
 def pipe() -> MotionPipeline:
     """The default bundle, its parser loaded."""
     pytest.importorskip("spacy")
-    found = MotionPipeline.load(threads=1)
-    found.parse(TEXT)
-    return found
+    pipeline = MotionPipeline.load(threads=1)
+    pipeline.parse(TEXT)
+    return pipeline
+
+
+@pytest.fixture(scope="session")
+def toy_bundle(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Folder of the toy bundle, the default bundle's parser in it; only read it."""
+    return with_parser(tmp_path_factory.mktemp("toy_bundle") / "bundle")
+
+
+@pytest.fixture(scope="session")
+def toy(toy_bundle: Path) -> MotionPipeline:
+    """The toy bundle, its parser loaded: float32, so identities hold to rounding."""
+    pytest.importorskip("spacy")
+    pipeline = MotionPipeline.load(toy_bundle, threads=1)
+    pipeline.parse(TEXT)
+    return pipeline
 
 
 @pytest.fixture(scope="module")
 def server(pipe: MotionPipeline) -> Iterator[PlaygroundClient]:
-    """Its playground."""
+    """A playground of the default bundle."""
     pytest.importorskip("uvicorn")
-    with running_playground(pipe) as found:
-        yield found
+    with running_playground(pipe) as playground:
+        yield playground
 
 
 @pytest.fixture
 def figure(request: pytest.FixtureRequest) -> Callable[[str], None]:
-    """Note one line for the summary."""
+    """Note one measured figure, to be printed after the tests."""
     return lambda line: request.node.user_properties.append((_FIGURE, line))
 
 
-def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
-    """Called by pytest when all tests have run; properties come with the reports of other processes too."""
+def pytest_addoption(parser: pytest.Parser) -> None:
+    parser.addoption(
+        "--only-skipped",
+        action="store_true",
+        help="run what the last whole run skipped, and tests marked with_extras: for a second run with more installed",
+    )
+
+
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Deselect what ran before, where `--only-skipped` asks for it; without a run before, run everything."""
+    skipped = config.cache and config.cache.get(_SKIPPED, None)
+    if not config.getoption("--only-skipped") or skipped is None:
+        return
+    chosen, others = [], []
+    for item in items:
+        again = item.get_closest_marker("with_extras") or {item.nodeid, item.nodeid.split("::")[0]} & set(skipped)
+        (chosen if again else others).append(item)
+    config.hook.pytest_deselected(items=others)
+    items[:] = chosen
+
+
+def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter, config: pytest.Config) -> None:
+    """Remember what was skipped and print the figures; reports of other processes (xdist) come here too."""
+    whole = config.args_source is pytest.Config.ArgsSource.TESTPATHS and not config.getoption("--only-skipped")
+    if whole and config.cache:
+        config.cache.set(_SKIPPED, sorted({report.nodeid for report in terminalreporter.stats.get("skipped", [])}))
     reports = [report for outcome in ("passed", "failed") for report in terminalreporter.stats.get(outcome, [])]
     lines = [line for report in reports for name, line in report.user_properties if name == _FIGURE]
     if lines:
