@@ -1,4 +1,4 @@
-"""GLB and BVH read back by programs that are not ours, and the body that the GLB shows."""
+"""GLB read back by an independent program, and the body that it shows."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from kinegraph.motion.kinematics import rest_offsets
 from kinegraph.motion.skeleton import CONVENTIONS, JOINTS, PARENTS
 from support.cli_runs import fails
 from support.motions import recorded, walk
-from support.readers import GlbReader, bvh_joints
+from support.readers import GlbReader
 
 
 def clip(joints: np.ndarray, text: str = "a person walks") -> Clip:
@@ -46,7 +46,7 @@ def test_the_skin_leaves_the_rest_pose_as_it_is_and_carries_the_body_along(tmp_p
     joints = walk(40)
     reader = GlbReader(encode(clip(joints), ".glb"), tmp_path)
     part = reader.file.meshes[0].primitives[0].attributes
-    positions, carried = reader.array(part.POSITION), reader.array(part.JOINTS_0)
+    positions, skin_joints = reader.array(part.POSITION), reader.array(part.JOINTS_0)
     weights = reader.array(part.WEIGHTS_0)
     np.testing.assert_allclose(weights.sum(axis=1), 1.0)
     inverse = reader.array(reader.file.skins[0].inverseBindMatrices).reshape(-1, 4, 4).transpose(0, 2, 1)
@@ -54,12 +54,12 @@ def test_the_skin_leaves_the_rest_pose_as_it_is_and_carries_the_body_along(tmp_p
     for frame in (None, 20):
         world = reader.world_transforms(frame)
         bound = np.stack([world[node] for node in reader.file.skins[0].joints]) @ inverse
-        skinned = np.einsum("nij,nj->ni", bound[carried[:, 0]], homogeneous)[:, :3]
+        skinned = np.einsum("nij,nj->ni", bound[skin_joints[:, 0]], homogeneous)[:, :3]
         assert abs(skinned[:, 1].min()) < 0.06 and 1.4 < skinned[:, 1].max() < 2.1
         for joint in range(JOINTS):
-            own = skinned[carried[:, 0] == joint]
-            if len(own):
-                assert np.linalg.norm(own - world[joint][:3, 3], axis=-1).min() < 0.15
+            vertices = skinned[skin_joints[:, 0] == joint]
+            if len(vertices):
+                assert np.linalg.norm(vertices - world[joint][:3, 3], axis=-1).min() < 0.15
 
 
 def test_the_file_says_where_it_comes_from_and_names_its_joints(tmp_path: Path) -> None:
@@ -84,10 +84,10 @@ def test_equal_clips_give_equal_bytes_in_whole_chunks() -> None:
 
 def test_the_body_is_closed_and_its_normals_point_outwards() -> None:
     offsets = rest_offsets(walk(20))
-    places = np.zeros((JOINTS, 3))
+    rest = np.zeros((JOINTS, 3))
     for joint in range(1, JOINTS):
-        places[joint] = places[PARENTS[joint]] + offsets[joint]
-    body = body_mesh(places)
+        rest[joint] = rest[PARENTS[joint]] + offsets[joint]
+    body = body_mesh(rest)
     corners = body.positions[body.triangles]
     facing = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     assert ((facing * body.normals[body.triangles].sum(axis=1)).sum(axis=-1) > 0).all()
@@ -98,36 +98,27 @@ def test_the_body_is_closed_and_its_normals_point_outwards() -> None:
 
 
 def test_the_validator_of_the_standard_finds_no_fault(tmp_path: Path) -> None:
-    found = os.environ.get("KINEGRAPH_NODE")
-    if shutil.which("node") is None or found is None:
+    folder = os.environ.get("KINEGRAPH_NODE")
+    if shutil.which("node") is None or folder is None:
         pytest.skip("needs node, and KINEGRAPH_NODE, a folder in which gltf-validator was installed with npm")
     script = (
         "require('gltf-validator').validateBytes(new Uint8Array(require('fs').readFileSync(process.argv[1])))"
         ".then(report => console.log(JSON.stringify(report.issues)))"
     )
     (tmp_path / "clip.glb").write_bytes(encode(clip(walk(30)), ".glb", "mixamo"))
-    done = subprocess.run(
-        ["node", "-e", script, str(tmp_path / "clip.glb")], cwd=found, capture_output=True, text=True, check=True
+    process = subprocess.run(
+        ["node", "-e", script, str(tmp_path / "clip.glb")], cwd=folder, capture_output=True, text=True, check=True
     )
-    issues = json.loads(done.stdout)
+    issues = json.loads(process.stdout)
     assert issues["numErrors"] == issues["numWarnings"] == 0, issues
 
 
-def test_a_reader_of_bvh_finds_the_joints_of_the_clip(tmp_path: Path) -> None:
-    for joints in motions():
-        (tmp_path / "clip.bvh").write_bytes(encode(clip(joints), ".bvh", "smpl"))
-        seen, fps = bvh_joints(tmp_path / "clip.bvh")
-        assert fps == pytest.approx(20.0)
-        error = np.linalg.norm(seen - joints, axis=-1)
-        assert error.mean() < 0.005 and error.max() < 0.015
-
-
 def test_names_are_refused_where_there_are_none(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    own: Any = clip(walk(20))
+    walking: Any = clip(walk(20))
     with pytest.raises(InvalidInputError, match="one of smpl, mixamo, not 'unreal'"):
-        own.save(tmp_path / "a.glb", names="unreal")
+        walking.save(tmp_path / "a.glb", names="unreal")
     with pytest.raises(InvalidInputError, match=r"are for .bvh, .glb, not for .npz"):
-        own.save(tmp_path / "a.npz", names="mixamo")
+        walking.save(tmp_path / "a.npz", names="mixamo")
     assert list(tmp_path.iterdir()) == []
     words = ["generate", "a person walks", "-o", str(tmp_path / "a.npz"), "--names", "mixamo"]
     assert "not for .npz" in fails(capsys, *words)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import struct
 from pathlib import Path
 
@@ -19,10 +20,8 @@ def clip(joints: np.ndarray, text: str = "a person walks") -> Clip:
 
 
 def pixels(data: bytes) -> np.ndarray:
-    """Decoded by another program than drew it."""
+    """Decode a picture to grey, by another program than drew it."""
     image = pytest.importorskip("PIL.Image")
-    import io
-
     return np.asarray(image.open(io.BytesIO(data)).convert("L")).astype(int)
 
 
@@ -40,10 +39,10 @@ def test_a_sheet_is_a_picture_that_depends_on_the_clip_alone() -> None:
 
 def test_poses_differ_where_the_body_moves() -> None:
     still = np.repeat(walk(2)[:1], 30, axis=0)
-    columns = [np.array_split(pixels(encode(clip(motion), ".png"))[60:250], 10, axis=1) for motion in (still, walk(30))]
-    dark = [[int((part < 200).sum()) for part in each[1:7]] for each in columns]
+    sheets = [pixels(encode(clip(motion), ".png"))[60:250] for motion in (still, walk(30))]
+    ink = [[int((pose < 200).sum()) for pose in np.array_split(sheet, 10, axis=1)[1:7]] for sheet in sheets]
     # the same pose gives the same ink over and over; a walk does not
-    assert np.ptp(dark[0]) < np.ptp(dark[1])
+    assert np.ptp(ink[0]) < np.ptp(ink[1])
 
 
 @pytest.mark.parametrize("text", ["", "costs $5 and $6", "走る人", "word " * 200, "two\nlines"])

@@ -1,4 +1,4 @@
-"""Another frame rate, no travel."""
+"""Clips at another frame rate, and clips in place."""
 
 from __future__ import annotations
 
@@ -27,28 +27,28 @@ def motions() -> list[np.ndarray]:
 @pytest.mark.parametrize("fps", [24, 30, 60, 20, 10])
 def test_known_frames_stay_and_new_ones_lie_between(fps: float) -> None:
     for joints in motions():
-        found = clip(joints).resampled(fps)
-        assert found.fps == fps and abs(found.duration - len(joints) / 20) <= 0.5 / fps + 1e-9
-        time = np.arange(found.frames) * 20 / fps
+        resampled = clip(joints).resampled(fps)
+        assert resampled.fps == fps and abs(resampled.duration - len(joints) / 20) <= 0.5 / fps + 1e-9
+        time = np.arange(resampled.frames) * 20 / fps
         known = np.flatnonzero((np.abs(time - time.round()) < 1e-9) & (time < len(joints)))
-        np.testing.assert_allclose(found.joints[known], joints[time[known].round().astype(int)], atol=1e-5)
+        np.testing.assert_allclose(resampled.joints[known], joints[time[known].round().astype(int)], atol=1e-5)
         # bones keep their length between frames, which a mix of joint positions would shorten
-        seen, own = bone_lengths(found.joints), bone_lengths(joints)
-        assert (seen > own.min(0) - 5e-3).all() and (seen < own.max(0) + 5e-3).all()
+        lengths, original = bone_lengths(resampled.joints), bone_lengths(joints)
+        assert (lengths > original.min(0) - 5e-3).all() and (lengths < original.max(0) + 5e-3).all()
 
 
 def test_a_turn_is_made_on_its_arc() -> None:
     angle = np.array([0.0, 1.2])
-    still = walk(2, speed=0.0)[[0, 0]].astype(np.float64)
+    standing = walk(2, speed=0.0)[[0, 0]].astype(np.float64)
     around = np.stack(
         [
-            still[k] @ np.array([[np.cos(a), 0, -np.sin(a)], [0, 1, 0], [np.sin(a), 0, np.cos(a)]])
+            standing[k] @ np.array([[np.cos(a), 0, -np.sin(a)], [0, 1, 0], [np.sin(a), 0, np.cos(a)]])
             for k, a in enumerate(angle)
         ]
     )
-    found = clip(around.astype(np.float32)).resampled(40)
+    resampled = clip(around.astype(np.float32)).resampled(40)
     np.testing.assert_allclose(
-        facing_angle(found.joints[:3]) - facing_angle(found.joints[:1]), [0, 0.6, 1.2], atol=1e-3
+        facing_angle(resampled.joints[:3]) - facing_angle(resampled.joints[:1]), [0, 0.6, 1.2], atol=1e-3
     )
 
 
@@ -60,17 +60,17 @@ def test_limbs_twist_no_faster_at_other_frame_rates(fps: float) -> None:
 
 
 @pytest.mark.parametrize("fps", [0, -1, 241, float("nan"), float("inf"), "30", True, None])
-def test_a_frame_rate_that_is_none_is_refused(fps: object) -> None:
+def test_values_that_are_no_frame_rate_are_refused(fps: object) -> None:
     with pytest.raises(InvalidInputError, match="fps must be 1 to 240"):
         clip(walk(20)).resampled(fps)  # type: ignore[arg-type]
 
 
 def test_in_place_takes_the_travel_and_nothing_else() -> None:
     for joints in motions():
-        found = clip(joints).in_place().joints
-        np.testing.assert_allclose(found[:, 0, [0, 2]], np.repeat(joints[:1, 0, [0, 2]], len(joints), 0), atol=1e-6)
-        np.testing.assert_allclose(found[..., 1], joints[..., 1])
-        np.testing.assert_allclose(canonical_poses(found), canonical_poses(joints), atol=1e-5)
+        still = clip(joints).in_place().joints
+        np.testing.assert_allclose(still[:, 0, [0, 2]], np.repeat(joints[:1, 0, [0, 2]], len(joints), 0), atol=1e-6)
+        np.testing.assert_allclose(still[..., 1], joints[..., 1])
+        np.testing.assert_allclose(canonical_poses(still), canonical_poses(joints), atol=1e-5)
 
 
 def test_on_the_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -79,8 +79,8 @@ def test_on_the_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str])
     plain, other = str(tmp_path / "a.npz"), str(tmp_path / "b.npz")
     assert cli.main([*words, "-o", plain]) == 0
     assert cli.main([*words, "--fps", "30", "--in-place", "--loop", "-o", other]) == 0
-    with np.load(plain) as one, np.load(other) as two:
-        own = Clip(one["joints"], 20.0, 1, "a person walks", "b").looped().in_place().resampled(30)
-        np.testing.assert_allclose(two["joints"], own.joints, atol=1e-6)
-        assert two["fps"] == 30 and one["fps"] == 20
+    with np.load(plain) as before, np.load(other) as after:
+        expected = Clip(before["joints"], 20.0, 1, "a person walks", "b").looped().in_place().resampled(30)
+        np.testing.assert_allclose(after["joints"], expected.joints, atol=1e-6)
+        assert after["fps"] == 30 and before["fps"] == 20
     assert "fps must be 1 to 240" in fails(capsys, *words, "--fps", "0", "-o", str(tmp_path / "c.npz"))
