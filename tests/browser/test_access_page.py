@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from support.browsing import Open, generate, made, wait_until
+from support.browsing import Open, clips_shown, generate, wait_until
 from support.playground import PlaygroundClient
 
 if TYPE_CHECKING:
@@ -59,7 +59,7 @@ def test_labels_contrast_and_width(
     page.get_by_label("Concepts").check()
     page.get_by_text("How they are mixed").click()
     page.get_by_label("Adapt the words").check()
-    wait_until(page, lambda: made(page) == 2)
+    wait_until(page, lambda: clips_shown(page) == 2)
     look_at_labels_and_contrasts(page, width)
 
 
@@ -81,4 +81,4 @@ def test_focus_goes_from_the_sentence_to_the_button_and_on(open_page: Open, serv
     assert seen[:3] == ["text", "Length, seed, steps", "Generate"]
     page.get_by_label("What should the person do?").focus()
     page.keyboard.press("Enter")
-    wait_until(page, lambda: made(page) == 1)
+    wait_until(page, lambda: clips_shown(page) == 1)

@@ -13,7 +13,18 @@ import pytest
 from kinegraph import cli
 from kinegraph.clip import Clip
 from kinegraph.playground.jobs import GenerationJob
-from support.browsing import TEXT, Open, changed, download, generate, made, settings, shown, time_of, wait_until
+from support.browsing import (
+    TEXT,
+    Open,
+    changed,
+    clips_shown,
+    download,
+    generate,
+    picture_at,
+    settings,
+    time_of,
+    wait_until,
+)
 from support.playground import PlaygroundClient
 
 if TYPE_CHECKING:
@@ -29,7 +40,7 @@ def test_a_sentence_becomes_a_clip_with_its_graph_and_its_latencies(open_page: O
     generate(page, seconds="3", seed="7")
     assert time.monotonic() - start < 10  # a safeguard only; benchmarks measure the promised time
     assert changed(empty, page.locator("canvas").screenshot()) > 0.01
-    assert changed(shown(page, 0.5), shown(page, 2.0)) > 0.01
+    assert changed(picture_at(page, 0.5), picture_at(page, 2.0)) > 0.01
     assert page.locator(".graph .words").all_text_contents()[0] == "walks"
     assert "3.0 s, 60 frames" in page.locator(".facts").inner_text()
     assert page.locator(".clock").inner_text() == "2.0 / 3.0 s"
@@ -73,11 +84,11 @@ def test_coarse_motion_is_seen_first_from_the_same_place(
     seen = []
     for level in ("whole motion", "actions"):
         wait_until(page, lambda level=level: page.locator(".panes").inner_text() == f"Sketch of the {level}")  # type: ignore[misc]
-        assert made(page) == 0
-        seen.append(page.locator("canvas").screenshot() if seen else shown(page, 1.5))
+        assert clips_shown(page) == 0
+        seen.append(page.locator("canvas").screenshot() if seen else picture_at(page, 1.5))
         assert time_of(page) == 1.5
         go_on.release()
-    wait_until(page, lambda: made(page) == 1, 60)
+    wait_until(page, lambda: clips_shown(page) == 1, 60)
     assert page.locator(".panes").inner_text() == "" and time_of(page) == 1.5
     # the body differs each time, the room stays the same
     seen.append(page.locator("canvas").screenshot())
@@ -92,7 +103,7 @@ def test_cancelled_after_a_sketch_what_was_there_comes_back(
     page = open_page(server.url)
     if again:
         generate(page, seconds="3", seed="1", steps="2")
-        before = shown(page, 1.5)
+        before = picture_at(page, 1.5)
     else:
         before = page.locator("canvas").screenshot()
     settings(page, seconds="3", seed="2", steps="2,900,900")
@@ -103,9 +114,9 @@ def test_cancelled_after_a_sketch_what_was_there_comes_back(
     wait_until(page, lambda: page.locator(".panes").inner_text() == "")
     wait_until(page, lambda: page.evaluate("document.activeElement.innerText") == "Generate")
     page.wait_for_timeout(200)
-    after = shown(page, 1.5) if again else page.locator("canvas").screenshot()
+    after = picture_at(page, 1.5) if again else page.locator("canvas").screenshot()
     assert changed(before, after) == 0
-    assert made(page) == again and page.get_by_role("button", name="Keep beside").is_visible() == again
+    assert clips_shown(page) == again and page.get_by_role("button", name="Keep beside").is_visible() == again
 
 
 def test_what_is_wrong_is_said_and_the_page_goes_on(open_page: Open, server: PlaygroundClient) -> None:
@@ -143,7 +154,7 @@ def test_cancel_stops_the_clip(open_page: Open, server: PlaygroundClient, way: s
     assert time.monotonic() - start < 3
     if way != "closed":
         assert not page.get_by_role("button", name="Cancel").is_visible()
-        assert page.locator(".status").inner_text() == "" and made(page) == 0
+        assert page.locator(".status").inner_text() == "" and clips_shown(page) == 0
         generate(page, seconds="1", steps="2")
 
 
@@ -155,7 +166,7 @@ def test_two_tabs_at_once(open_page: Open, server: PlaygroundClient) -> None:
     for page in (first, second):
         page.get_by_role("button", name="Generate").click()
     for page in (first, second):
-        wait_until(page, lambda page=page: made(page) == 1)  # type: ignore[misc]
+        wait_until(page, lambda page=page: clips_shown(page) == 1)  # type: ignore[misc]
     assert download(first, ".bvh") == download(second, ".bvh")
 
 
@@ -163,15 +174,15 @@ def test_a_link_makes_the_clip_again_and_runs_nothing_by_itself(open_page: Open,
     page = open_page(server.url)
     generate(page, "a person walks slowly", seconds="1.5", steps="3")
     page.get_by_label("Weight of slowly").fill("0.5")
-    wait_until(page, lambda: made(page) == 2)
+    wait_until(page, lambda: clips_shown(page) == 2)
     page.get_by_role("button", name="Link").click()
     wait_until(page, lambda: "#" in page.url)
     other = open_page(page.url)
     other.wait_for_timeout(500)
-    assert made(other) == 0
+    assert clips_shown(other) == 0
     assert other.get_by_label("Weight of slowly").input_value() == "0.5"
     other.get_by_role("button", name="Generate").click()
-    wait_until(other, lambda: made(other) == 1)
+    wait_until(other, lambda: clips_shown(other) == 1)
     assert download(other, ".npz") == download(page, ".npz")
 
 
@@ -183,8 +194,8 @@ def test_a_clip_is_kept_beside_the_next(open_page: Open, server: PlaygroundClien
     assert page.locator("canvas").get_attribute("data-panes") == "2"
     assert page.locator(".panes p").all_text_contents() == [f"{TEXT}, seed 1", f"{TEXT}, seed 2"]
     page.get_by_label("Weight of to the left").fill("0.5")
-    wait_until(page, lambda: made(page) == 3)
+    wait_until(page, lambda: clips_shown(page) == 3)
     assert page.locator(".panes p").all_text_contents()[1] == f"{TEXT}, to the left ×0.5, seed 2"
     page.get_by_role("button", name="Only this one").click()
     wait_until(page, lambda: page.locator("canvas").get_attribute("data-panes") == "1")
-    assert changed(shown(page, 0.2), shown(page, 0.9)) > 0.001
+    assert changed(picture_at(page, 0.2), picture_at(page, 0.9)) > 0.001

@@ -8,7 +8,7 @@ import pytest
 
 from kinegraph.clip import Clip
 from kinegraph.formats.html import clips_page as page_of
-from support.browsing import Open, changed, shown, time_of, wait_until
+from support.browsing import Open, changed, picture_at, time_of, wait_until
 from support.cli_runs import whole
 from support.motions import walk
 
@@ -28,7 +28,7 @@ def one(tmp_path_factory: pytest.TempPathFactory) -> str:
 
 def test_the_body_is_drawn_and_moves_with_time(open_page: Open, one: str) -> None:
     page = open_page(one)
-    early, late, again = shown(page, 0.5), shown(page, 1.2), shown(page, 0.5)
+    early, late, again = picture_at(page, 0.5), picture_at(page, 1.2), picture_at(page, 0.5)
     assert changed(early, again) == 0
     assert changed(early, late) > 0.01
 
@@ -57,7 +57,7 @@ def test_it_plays_by_itself_unless_less_motion_is_wished(open_page: Open, one: s
 
 def test_the_keyboard_does_it_all(open_page: Open, one: str) -> None:
     page = open_page(one)
-    shown(page, 1.0)
+    picture_at(page, 1.0)
     page.locator("body").press(".")
     page.wait_for_timeout(200)
     assert time_of(page) == pytest.approx(1.05)
@@ -67,26 +67,26 @@ def test_the_keyboard_does_it_all(open_page: Open, one: str) -> None:
     page.locator("body").press(" ")
     assert page.get_by_role("button", name="Pause").is_visible()
     page.locator("body").press(" ")
-    before = shown(page, 1.0)
+    before = picture_at(page, 1.0)
     for key in ("ArrowLeft", "ArrowUp", "+"):
         page.locator("canvas").press(key)
     page.wait_for_timeout(300)
-    turned = shown(page, 1.0)
+    turned = picture_at(page, 1.0)
     assert changed(before, turned) > 0.02
     page.locator("body").press("0")
     page.wait_for_timeout(300)
-    assert changed(before, shown(page, 1.0)) == 0
+    assert changed(before, picture_at(page, 1.0)) == 0
 
 
 def test_dragging_turns_the_camera(open_page: Open, one: str) -> None:
     page = open_page(one)
-    before = shown(page, 1.0)
+    before = picture_at(page, 1.0)
     page.mouse.move(150, 150)
     page.mouse.down()
     page.mouse.move(260, 170, steps=4)
     page.mouse.up()
     page.wait_for_timeout(400)
-    assert changed(before, shown(page, 1.0)) > 0.02
+    assert changed(before, picture_at(page, 1.0)) > 0.02
 
 
 def test_caption_and_graph_stand_beside_it_whatever_they_say(open_page: Open, tmp_path: Path) -> None:
@@ -108,5 +108,5 @@ def test_nothing_is_cut_off(open_page: Open, one: str, width: int, height: int) 
 
 
 def test_it_is_dark_where_that_is_wished(open_page: Open, one: str) -> None:
-    light, dark = (shown(open_page(one, color_scheme=scheme), 1.0) for scheme in ("light", "dark"))
+    light, dark = (picture_at(open_page(one, color_scheme=scheme), 1.0) for scheme in ("light", "dark"))
     assert changed(light, dark) > 0.8

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from kinegraph.bundle.reader import read_bundle
-from kinegraph.bundle.tables import EXTRA
+from kinegraph.bundle.tables import EXTRA_INPUTS
 from kinegraph.conditioning import ACTION, MOTION, SPECIFIC, GraphArrays, duration_inputs, expected_frames
 from kinegraph.errors import BundleFormatError
 from support.synthetic_bundle import TEXT_WIDTH, bundle_files, tables_npz, write_bundle
@@ -44,7 +44,7 @@ def test_an_odd_sentence_stays_within_the_limits(size: float, frames: int) -> No
 
 
 def test_a_bundle_may_carry_it_or_not(tmp_path: Path) -> None:
-    weights = np.ones((1, TEXT_WIDTH + EXTRA), dtype=np.float32)
+    weights = np.ones((1, TEXT_WIDTH + EXTRA_INPUTS), dtype=np.float32)
     with_it = {**bundle_files(), "tables.npz": tables_npz(duration=weights)}
     np.testing.assert_array_equal(read_bundle(write_bundle(tmp_path / "a", with_it)).tables["duration"], weights)
     assert "duration" not in read_bundle(write_bundle(tmp_path / "b")).tables

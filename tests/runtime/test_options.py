@@ -1,4 +1,4 @@
-"""Options: the bundle's defaults filled in, and every bad wish refused with what is allowed."""
+"""Options: the bundle's defaults filled in, and every invalid option refused with the allowed values."""
 
 from __future__ import annotations
 
@@ -136,9 +136,9 @@ def test_without_a_seed_every_call_draws_one_and_leaves_global_state_alone() -> 
     ],
 )
 def test_steps_for_all_or_per_level(steps: object, expected: tuple[int, ...]) -> None:
-    found = resolve_options(EDGE, steps=steps).steps  # type: ignore[arg-type]
-    assert tuple(found[level] for level in LEVELS) == expected
-    assert tuple(found) == LEVELS
+    resolved = resolve_options(EDGE, steps=steps).steps  # type: ignore[arg-type]
+    assert tuple(resolved[level] for level in LEVELS) == expected
+    assert tuple(resolved) == LEVELS
 
 
 @pytest.mark.parametrize(
@@ -183,9 +183,9 @@ def test_steps_beyond_the_table_are_refused() -> None:
     [(0, (0, 0, 0)), (20, (20, 20, 20)), ((1, 2.5, 3), (1, 2.5, 3)), ({"motion": 1}, (1, 2.5, 2.5))],
 )
 def test_guidance_for_all_or_per_level(guidance: object, expected: tuple[float, ...]) -> None:
-    found = resolve_options(EDGE, guidance=guidance).guidance  # type: ignore[arg-type]
-    assert tuple(found[level] for level in LEVELS) == expected
-    assert all(type(value) is float for value in found.values())
+    resolved = resolve_options(EDGE, guidance=guidance).guidance  # type: ignore[arg-type]
+    assert tuple(resolved[level] for level in LEVELS) == expected
+    assert all(type(value) is float for value in resolved.values())
 
 
 @pytest.mark.parametrize(
@@ -228,7 +228,7 @@ ANYTHING |= st.dictionaries(st.sampled_from(LEVELS) | st.integers() | st.text(),
 
 @settings(max_examples=500, deadline=None)
 @given(seconds=ANYTHING, seed=ANYTHING, steps=ANYTHING, guidance=ANYTHING)
-def test_any_wish_gives_valid_options_or_a_typed_error(
+def test_any_options_give_valid_options_or_a_typed_error(
     seconds: object, seed: object, steps: object, guidance: object
 ) -> None:
     for given_options in (

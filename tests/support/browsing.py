@@ -33,7 +33,7 @@ def time_of(page: Page) -> float:
     return float(page.locator("canvas").get_attribute("data-time") or "nan")
 
 
-def shown(page: Page, seconds: float) -> bytes:
+def picture_at(page: Page, seconds: float) -> bytes:
     """Seek to a time of the clip and return the drawing as PNG."""
     page.locator(".scrub").fill(str(seconds))
     wait_until(page, lambda: abs(time_of(page) - seconds) < 0.026)
@@ -56,18 +56,18 @@ def settings(page: Page, **values: str) -> None:
         page.get_by_label(name.capitalize()).fill(value)
 
 
-def made(page: Page) -> int:
+def clips_shown(page: Page) -> int:
     """Count the clips that the page has shown."""
     return int(page.locator("html").get_attribute("data-made") or 0)
 
 
 def generate(page: Page, text: str = TEXT, **values: str) -> None:
     """Ask for a clip and wait until it is there."""
-    before = made(page)
+    before = clips_shown(page)
     page.get_by_label("What should the person do?").fill(text)
     settings(page, **values)
     page.get_by_role("button", name="Generate").click()
-    wait_until(page, lambda: made(page) > before)
+    wait_until(page, lambda: clips_shown(page) > before)
 
 
 def download(page: Page, suffix: str) -> bytes:

@@ -101,8 +101,8 @@ def session_options(threads: int, *, spinning: bool = True) -> onnxruntime.Sessi
 
     By default onnxruntime's idle pools spin between runs too. With one session per graph they take the cores from the
     busy one (measured: three times slower on two cores, and half a core used between requests). Pools that never spin
-    are woken for every operator: one sample at the published size takes 38 ms instead of 28 ms. Under load,
-    non-spinning pools degrade least.
+    are woken for every operator: one sample at the published size takes 38 ms instead of 28 ms. However,
+    non-spinning pools degrade least under load.
 
     Args:
         threads: size of the pool.

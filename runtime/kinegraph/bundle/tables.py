@@ -22,7 +22,7 @@ from kinegraph.motion.skeleton import JOINTS
 FILE: Final = "tables.npz"
 DURATION: Final = "duration"
 BONE_LENGTHS: Final = "bone_lengths"
-EXTRA: Final = 3
+EXTRA_INPUTS: Final = 3
 """Inputs of the duration model besides the sentence embedding: number of actions, number of nodes, and 1."""
 
 _HEADER_BYTES: Final = 4096
@@ -31,7 +31,7 @@ _HEADER_BYTES: Final = 4096
 
 def table_shapes(manifest: Manifest) -> dict[str, tuple[int, int]]:
     """Return name -> shape of every array that `tables.npz` may hold, all float32."""
-    return {DURATION: (1, manifest.text.width + EXTRA), BONE_LENGTHS: (1, JOINTS - 1)}
+    return {DURATION: (1, manifest.text.width + EXTRA_INPUTS), BONE_LENGTHS: (1, JOINTS - 1)}
 
 
 def bones_of(tables: Mapping[str, FloatArray]) -> FloatArray | None:
