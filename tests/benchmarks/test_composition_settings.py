@@ -47,7 +47,7 @@ class Fake:
 
 
 class Judge:
-    def motions(self, clips: list[np.ndarray]) -> np.ndarray:
+    def embed_motions(self, clips: list[np.ndarray]) -> np.ndarray:
         return np.random.default_rng(0).normal(size=(len(clips), 4))
 
 
@@ -55,36 +55,36 @@ def test_rates_are_those_of_the_clips(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(settings, "PAIRS", (("walk", "raise-up-both-hands"), ("walk", "wave-right-hand")))
     pipe: Any = Fake()
     reference = np.random.default_rng(0).normal(size=(8, 4))
-    found = settings.row(settings.settings()["joint text"], pipe, 4, reference, Judge())  # type: ignore[arg-type]
+    found = settings.measure_setting(settings.list_settings()["joint text"], pipe, 4, reference, Judge())  # type: ignore[arg-type]
     assert found["first"] == 1.0 and found["both"] == 0.25
     assert found["per_pair"] == {"walk + raise-up-both-hands": 0.5, "walk + wave-right-hand": 0.0}
-    less = settings.negated(pipe, 4, -0.5)
+    less = settings.measure_negation(pipe, 4, -0.5)
     assert [one["pair"] for one in less["rows"]] == ["walk + raise-up-both-hands"]
     assert less["fallen_by"] == 1.0 and less["kept"] == 1.0 and less["both_met"] == 1
-    alike = settings.beside_alike(pipe, 2, -0.5)
+    alike = settings.measure_similar_negation(pipe, 2, -0.5)
     assert alike == {"walks": 1.0, "gesture": 0.0, "metres": pytest.approx(np.ptp(walk(40)[:, 0, 2]))}
     assert pipe.asked[-1][0] == (1.0, 1.0, -0.5)
     result = {"model": "m", "seeds": 4, "settings": {"joint text": found}}
     result |= {"negation": {"-0.5": less}, "alike": {"-0.5": alike}}
-    text = settings.table(result)
+    text = settings.markdown_table(result)
     assert "| joint text | 0.250 | 1.000 | 0.250 |" in text
     assert f"| weight -0.5 | 1.00 | 0.00 | {alike['metres']:.2f} |" in text
 
 
 def test_a_stopped_run_goes_on_with_rows_of_its_own_only(tmp_path: Path) -> None:
     path, how = tmp_path / "settings.json", {"model": "edge 0.2.0", "seeds": 10}
-    new = settings.begun(path, how)
+    new = settings.load_partial_result(path, how)
     assert new == {**how, "settings": {}, "negation": {}, "alike": {}}
     new["settings"]["latent"] = {"both": 0.5}
     write_json(path, new)
-    assert settings.begun(path, how) == new
-    assert settings.begun(path, {**how, "seeds": 3})["settings"] == {}
+    assert settings.load_partial_result(path, how) == new
+    assert settings.load_partial_result(path, {**how, "seeds": 3})["settings"] == {}
 
 
 def test_every_setting_asks_for_something_else() -> None:
     asked = set()
-    for make in settings.settings().values():
+    for setting in settings.list_settings().values():
         pipe: Any = Fake()
-        make(pipe, settings.PAIRS[0], 3)
+        setting(pipe, settings.PAIRS[0], 3)
         asked.add(tuple(pipe.asked))
-    assert len(asked) == len(settings.settings())
+    assert len(asked) == len(settings.list_settings())

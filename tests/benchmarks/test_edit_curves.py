@@ -29,7 +29,7 @@ def values(means: list[float], spread: float) -> np.ndarray:
 def test_a_curve_is_met_if_it_is_monotone_and_goes_far_enough(
     means: list[float], spread: float, sense: int, met: bool
 ) -> None:
-    found = edit_curves.judged(values(means, spread), sense)
+    found = edit_curves.judge_curve(values(means, spread), sense)
     assert found["met"] is met and found["mean"] == pytest.approx(means)
 
 
@@ -46,8 +46,8 @@ def test_quantities_measure_what_they_name() -> None:
     raised = still.copy()
     raised[:30, 21, 1] = 2.5
     assert edit_curves.share_raised(raised) == 0.5
-    assert edit_curves.higher("right")(raised) > 0.3 > abs(edit_curves.higher("right")(still))
-    assert edit_curves.turned(1)(walk(60, turning=0.01)) == -edit_curves.turned(-1)(walk(60, turning=0.01))
+    assert edit_curves.wrist_above_other("right")(raised) > 0.3 > abs(edit_curves.wrist_above_other("right")(still))
+    assert edit_curves.turn_to(1)(walk(60, turning=0.01)) == -edit_curves.turn_to(-1)(walk(60, turning=0.01))
 
 
 def test_every_edge_is_found_by_the_parser(pipe: MotionPipeline) -> None:

@@ -1,4 +1,4 @@
-"""What `evaluate.py` is made of: claims of captions, recognition, twins, takes that are kept."""
+"""The parts of `quality.evaluate`: claims of captions, recognition, near twins, cached takes, tables."""
 
 from __future__ import annotations
 
@@ -10,12 +10,21 @@ from typing import Any
 import numpy as np
 import pytest
 
+from kinegraph.bundle.reader import DEFAULT_BUNDLE
 from kinegraph.motion.skeleton import bone_lengths
-from kinegraph_benchmarks.common.caption_claims import Claim, claims, hand_height, steps
-from kinegraph_benchmarks.common.label_classifier import Recogniser
-from kinegraph_benchmarks.common.sample_cache import captions_of, folder_of, generated
-from kinegraph_benchmarks.common.scores import Judges, Reference, by_pair, has_twin, kept_labels, means, summarised
-from kinegraph_benchmarks.quality.evaluate import captured_scores, table
+from kinegraph_benchmarks.common.caption_claims import Claim, count_steps, hand_height, parse_claims
+from kinegraph_benchmarks.common.label_classifier import LabelClassifier
+from kinegraph_benchmarks.common.sample_cache import BundleModel, cache_folder, captions_for_take, load_or_generate
+from kinegraph_benchmarks.common.scores import (
+    Judges,
+    Reference,
+    average_repeats,
+    has_near_twin,
+    label_hits,
+    mean_rates,
+    rates_by_label,
+)
+from kinegraph_benchmarks.quality.evaluate import markdown_table, score_captured
 from kinegraph_training.data.clips import MotionClip, read_split
 from support.motions import posed, t_pose, turn, walk
 from support.shared import shared_path
@@ -39,7 +48,7 @@ def clip(content: str, joints: np.ndarray, style: str = "normal", *captions: str
     ],
 )
 def test_claims_are_read_from_captions(caption: str, expected: list[Claim]) -> None:
-    assert claims(caption) == expected
+    assert parse_claims(caption) == expected
 
 
 def test_steps_are_counted_as_the_labels_count_them() -> None:
@@ -49,9 +58,9 @@ def test_steps_are_counted_as_the_labels_count_them() -> None:
 
 def test_steps_are_counted() -> None:
     # The legs of the figure change places every pi / 0.35 = 9 frames.
-    assert steps(walk(60)) == int(59 * 0.35 / np.pi) == 6
-    assert steps(walk(60, turning=0.02, heading=1.0)) == 6
-    assert steps(t_pose(20)) == 0
+    assert count_steps(walk(60)) == int(59 * 0.35 / np.pi) == 6
+    assert count_steps(walk(60, turning=0.02, heading=1.0)) == 6
+    assert count_steps(t_pose(20)) == 0
     assert Claim("steps", "7").holds(walk(64)) and not Claim("steps", "4").holds(walk(64))
 
 
@@ -75,21 +84,21 @@ def test_recognition_tells_what_it_was_shown() -> None:
         fast, still = walk(40 + number, speed=0.1 + number * 1e-3), t_pose(30 + number)
         return [clip("run", fast, "active"), clip("stand", still + number * 1e-3, "calm")]
 
-    recogniser = Recogniser([one for number in range(8) for one in some(number)])
+    classifier = LabelClassifier([one for number in range(8) for one in some(number)])
     unseen = [one.joints for one in some(20)]
-    assert recogniser(unseen, "content") == ["run", "stand"]
-    assert recogniser(unseen, "style") == ["active", "calm"]
+    assert classifier(unseen, "content") == ["run", "stand"]
+    assert classifier(unseen, "style") == ["active", "calm"]
 
 
 def test_each_pair_has_its_own_rates() -> None:
     captured = [clip("walk", walk(60, speed=0.05), "old"), clip("walk", walk(60, speed=0.05), "old"),
                 clip("run", walk(60, speed=0.15), "old"), clip("sit", t_pose(60), "calm")]  # fmt: skip
-    judge = Recogniser(captured)
+    judge = LabelClassifier(captured)
     # one of two walks stands still instead
     made = [captured[0].joints, captured[3].joints, captured[2].joints, captured[3].joints]
-    kept = kept_labels(made, captured, judge)
-    found = by_pair(kept, Reference(captured, np.zeros((4, 1), np.float32)))
-    assert means(kept) == {"behaviour": 2 / 3, "content": 0.75, "style": 0.75}
+    hits = label_hits(made, captured, judge)
+    found = rates_by_label(hits, Reference(captured, np.zeros((4, 1), np.float32)))
+    assert mean_rates(hits) == {"behaviour": 2 / 3, "content": 0.75, "style": 0.75}
     assert list(found) == ["run/old", "sit/calm", "walk/old"]
     assert found["walk/old"] == {"content": 0.5, "style": 0.5, "behaviour": 0.5}
     assert found["sit/calm"] == {"content": 1.0, "style": 1.0}
@@ -99,7 +108,7 @@ def test_each_pair_has_its_own_rates() -> None:
 def test_a_twin_is_a_near_clip_of_the_same_label() -> None:
     train = [clip("walk", walk(50)), clip("run", walk(50, speed=0.1))]
     near, far, other = walk(50) + 0.005, walk(50) + 0.5, walk(50)
-    assert has_twin([clip("walk", near), clip("walk", far), clip("bow", other)], train) == [True, False, False]
+    assert has_near_twin([clip("walk", near), clip("walk", far), clip("bow", other)], train) == [True, False, False]
 
 
 class FakeModel:
@@ -118,35 +127,50 @@ class FakeModel:
 def test_takes_are_kept_and_belong_to_their_model(tmp_path: Path) -> None:
     clips = [clip("walk", walk(40), "normal", "walks", "is walking"), clip("dance", walk(300), "normal", "dances", "d")]
     model = FakeModel()
-    folder = folder_of(model, tmp_path, "dev", clips, {})
-    motions, captions = generated(model, clips, 1, folder)
+    folder = cache_folder(model, tmp_path, "dev", clips, {})
+    motions, captions = load_or_generate(model, clips, 1, folder)
     assert captions == ["is walking", "dances"]
     assert model.calls == [("is walking", 2.0, 1000), ("dances", 9.8, 1001)]
-    again, _ = generated(model, clips, 1, folder)
+    again, _ = load_or_generate(model, clips, 1, folder)
     assert len(model.calls) == 2, "nothing is generated twice"
     for one, two in zip(motions, again, strict=True):
         np.testing.assert_array_equal(one, two)
     other = FakeModel()
     other.stamp = "s2"
-    assert folder_of(other, tmp_path, "dev", clips, {}) != folder != folder_of(model, tmp_path, "dev", clips, {"g": 4})
+    assert (
+        cache_folder(other, tmp_path, "dev", clips, {})
+        != folder
+        != cache_folder(model, tmp_path, "dev", clips, {"g": 4})
+    )
 
 
 def test_a_take_holds_captions_of_every_kind_and_all_takes_hold_all() -> None:
     clips = [clip("walk", walk(20), "normal", *(f"{row}{kind}" for kind in "abc")) for row in range(5)]
-    takes = [captions_of(clips, take) for take in range(3)]
+    takes = [captions_for_take(clips, take) for take in range(3)]
     assert takes[0] == ["0a", "1b", "2c", "3a", "4b"]
     asked = sorted(caption for take in takes for caption in take)
     assert asked == sorted(caption for one in clips for caption in one.captions)
-    assert captions_of(clips, 3) == takes[0], "takes of one caption are told apart for multimodality"
+    assert captions_for_take(clips, 3) == takes[0], "takes of one caption are told apart for multimodality"
+
+
+@pytest.mark.skipif(not (DEFAULT_BUNDLE / "manifest.json").is_file(), reason="no default bundle")
+def test_a_bundle_with_another_spacing_makes_other_clips_and_has_a_cache_of_its_own() -> None:
+    pytest.importorskip("spacy")
+    shipped, trailing = BundleModel(None), BundleModel(None, spacing="trailing")
+    same = BundleModel(None, spacing="leading", base="empty")
+    assert shipped.stamp == same.stamp != trailing.stamp
+    clips = [model.generate("a person walks", seconds=1.0, seed=0).joints for model in (shipped, same, trailing)]
+    np.testing.assert_array_equal(clips[0], clips[1])
+    assert np.abs(clips[0] - clips[2]).max() > 1e-4
 
 
 class Blind:
     """Judges that see nothing, the same nothing for everything."""
 
-    def motions(self, clips: Sequence[np.ndarray]) -> np.ndarray:
+    def embed_motions(self, clips: Sequence[np.ndarray]) -> np.ndarray:
         return np.random.default_rng(0).standard_normal((len(clips), 4)).astype(np.float32)
 
-    captions = motions
+    embed_captions = embed_motions
 
     def __call__(self, motions: Sequence[np.ndarray], name: str) -> list[str]:
         return ["walk"] * len(motions)
@@ -157,13 +181,13 @@ def test_one_repeat_is_enough_to_measure_claims() -> None:
     clips = [clip("walk", walk(64, speed=0.03 + row * 1e-3), "normal", *captions) for row in range(8)]
     blind: Any = Blind()
     judges = Judges(blind, blind, bone_lengths(clips[0].joints).mean(0))
-    found = captured_scores(Reference(clips, blind.motions([one.joints for one in clips])), judges, 1)
+    found = score_captured(Reference(clips, blind.embed_motions([one.joints for one in clips])), judges, 1)
     assert found["claims_steps"]["mean"] == 1.0
     assert {"claims_degrees", "claims_height"} <= found.keys()
 
 
 def test_a_summary_holds_what_only_some_repeats_have() -> None:
-    found = summarised([{"a": 1.0}, {"a": 3.0, "b": 5.0}])
+    found = average_repeats([{"a": 1.0}, {"a": 3.0, "b": 5.0}])
     assert found["a"]["mean"] == 2.0 and found["b"]["mean"] == 5.0
     assert found["a"]["plus_minus"] == pytest.approx(1.96 * np.sqrt(2) / np.sqrt(2))
 
@@ -179,11 +203,11 @@ def test_the_table_says_both_sides() -> None:
            "captured_apart": {"held_out": held, "joined_in_training": {"clips": 0, "both_hold": None}},
            "generated_apart": {"held_out": {**held, "both_hold": 0.45}}}  # fmt: skip
     result = {"model": "m", "evaluator": "1", "repeats": 2, "splits": {"dev_test": parts}}
-    text = table(result | {"two_actions": {"in_order": two}})
+    text = markdown_table(result | {"two_actions": {"in_order": two}})
     assert "| fid | 0.250 | 0.500 ± 0.010 | 2.00 |" in text
     assert "| both_hold, 4 pairs held out | 0.900 | 0.450 | 0.50 |" in text
     assert "| fid | 0.000 | 0.500 ± 0.010 | - | - |" in text
     assert "| walk/old | 0.50 (0.75) |" in text
     many = {f"{number}/old": {"content": value} for number in range(20)}
-    assert "/old" not in table({**result, "two_actions": {}, "splits": {"dev_test": parts | {
+    assert "/old" not in markdown_table({**result, "two_actions": {}, "splits": {"dev_test": parts | {
         "generated": made | {"by_pair": many}}}})  # fmt: skip

@@ -6,7 +6,7 @@ import numpy as np
 
 from kinegraph.conditioning import graph_structure
 from kinegraph.graph import Action, Argument, SemanticGraph
-from kinegraph_benchmarks.quality.masked_verbs import PREDICATES, Masked, rates, without_verbs
+from kinegraph_benchmarks.quality.masked_verbs import PREDICATES, VerbMaskingModel, predicate_rates, mask_verbs
 from kinegraph_training.data.clips import MotionClip
 from support.motions import posed, t_pose, turn
 
@@ -29,7 +29,7 @@ GRAPH = SemanticGraph(
 
 
 def test_verbs_are_masked_and_all_else_stays() -> None:
-    found = without_verbs(GRAPH)
+    found = mask_verbs(GRAPH)
     assert found.caption == "a person [MASK] to the left, then [MASK] slowly"
     assert [action.text for action in found.actions] == ["[MASK]", "[MASK]"]
     texts = [[part.text for part in action.arguments] for action in found.actions]
@@ -42,7 +42,7 @@ def test_a_verb_inside_an_argument_is_masked_there_too() -> None:
     caption = "walks while waving hands"
     whole = Argument("ARGM-ADV", "while waving hands", 6, 24)
     waving = Action("waving", 12, 18, order=1, arguments=(Argument("ARG1", "hands", 19, 24),))
-    found = without_verbs(SemanticGraph(caption, (Action("walks", 0, 5, order=0, arguments=(whole,)), waving)))
+    found = mask_verbs(SemanticGraph(caption, (Action("walks", 0, 5, order=0, arguments=(whole,)), waving)))
     assert found.caption == "[MASK] while [MASK] hands"
     assert found.actions[0].arguments[0].text == "while [MASK] hands"
     assert found.actions[1].arguments[0].text == "hands"
@@ -62,15 +62,15 @@ class Listener:
 
 
 def test_the_model_hears_the_masked_graph() -> None:
-    masked = Masked(Listener(), Parser())  # type: ignore[arg-type]
+    masked = VerbMaskingModel(Listener(), Parser())  # type: ignore[arg-type]
     assert masked.stamp != Listener.stamp
     heard, options = masked.generate(CAPTION, seconds=2.0, seed=3)
-    assert heard == without_verbs(GRAPH) and options == {"seconds": 2.0, "seed": 3}
+    assert heard == mask_verbs(GRAPH) and options == {"seconds": 2.0, "seed": 3}
 
 
 def test_rates_are_told_apart_by_what_they_are_about() -> None:
     pivot = np.stack([posed(np.zeros(3), {0: turn("y", angle)}) for angle in np.linspace(0, np.pi / 2, 30)])
     still = t_pose(30)
     clips = [MotionClip(name, still, ("x",), name, "") for name in (*["walk-turn-left"] * 2, "wave-left-hand")]
-    assert rates(clips, [pivot, still, still]) == {"direction": 0.5, "body part": 0.0}
+    assert predicate_rates(clips, [pivot, still, still]) == {"direction": 0.5, "body part": 0.0}
     assert {"walk-turn-right", "raise-up-both-hands", "wave-right-hand"} <= set(PREDICATES)

@@ -12,7 +12,7 @@ pytest.importorskip("torch")
 pytest.importorskip("spacy")
 
 from kinegraph.graph import ARGUMENT_ROLES
-from kinegraph_benchmarks.quality.parser_accuracy import HARD, folds_of
+from kinegraph_benchmarks.quality.parser_accuracy import HARD, assign_folds
 
 
 def rows(half: str) -> list[dict]:
@@ -41,6 +41,6 @@ def test_the_halves_share_no_sentence() -> None:
 def test_captions_alike_but_for_case_are_in_one_fold() -> None:
     scorer = SimpleNamespace(normal=lambda caption: caption.lower().rstrip("."))
     captions = [f"Person {number} walks." for number in range(20)] + [f"person {number} walks" for number in range(20)]
-    folds = folds_of(captions, 5, 0, scorer)
+    folds = assign_folds(captions, 5, 0, scorer)
     assert sorted(set(folds.values())) == [0, 1, 2, 3, 4]
     assert all(folds[f"Person {number} walks."] == folds[f"person {number} walks"] for number in range(20))

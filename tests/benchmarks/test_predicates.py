@@ -7,7 +7,7 @@ import pytest
 
 from kinegraph.motion.skeleton import JOINT_INDEX, bone_lengths, mirrored
 from kinegraph_benchmarks.common import predicates as p
-from kinegraph_benchmarks.common.behaviour_prompts import BEHAVIOURS, CONTENTS
+from kinegraph_benchmarks.common.behaviour_prompts import ACTIONS, BEHAVIOURS
 from kinegraph_training import metrics
 from support.motions import posed, t_pose, turn, walk
 
@@ -98,7 +98,7 @@ def test_standing_still_is_no_behaviour_that_moves() -> None:
 
 
 def test_no_two_contents_share_a_prompt() -> None:
-    prompts = [prompt for behaviour in CONTENTS for prompt in behaviour.prompts]
+    prompts = [prompt for behaviour in ACTIONS for prompt in behaviour.prompts]
     assert len(prompts) == len(set(prompts))
 
 

@@ -14,30 +14,29 @@ torch = pytest.importorskip("torch")
 pytest.importorskip("onnxscript")
 
 from kinegraph_benchmarks.quality import precision
-from kinegraph_benchmarks.speed import scaling
-from kinegraph_benchmarks.speed import speed_table as report
+from kinegraph_benchmarks.speed import scaling, speed_table
 
 MACHINE = {"cpu": "a CPU", "cpus": 2, "kinegraph": "1", "onnxruntime": "1", "python": "3"}
 
 
 def test_arms_take_turns_and_every_repeat_is_kept() -> None:
     calls: list[str] = []
-    times = timing.taking_turns({name: lambda name=name: calls.append(name) for name in "ab"}, 3, warm_up=1)
+    times = timing.time_interleaved({name: lambda name=name: calls.append(name) for name in "ab"}, 3, warm_up=1)
     assert calls == list("abababab")
     assert {name: len(values) for name, values in times.items()} == {"a": 3, "b": 3}
     assert all(value >= 0 for values in times.values() for value in values)
 
 
 def test_the_summary_compares_minima() -> None:
-    text = timing.summary({"slow": [40.0, 20.0], "fast": [5.0, 50.0]}, against="slow")
+    text = timing.timing_table({"slow": [40.0, 20.0], "fast": [5.0, 50.0]}, against="slow")
     assert "| slow | 30.0 | 20.0 |" in text and text.endswith("4.00 |")
 
 
 def test_a_line_knows_a_curve() -> None:
-    straight = scaling.line({f"{n} frames": [3.0 + 0.5 * n, 999.0] for n in (20, 100, 196)})
+    straight = scaling.fit_line({f"{n} frames": [3.0 + 0.5 * n, 999.0] for n in (20, 100, 196)})
     assert straight["start_ms"] == pytest.approx(3.0) and straight["per_unit_ms"] == pytest.approx(0.5)
     assert straight["deviation"] == pytest.approx(0.0, abs=1e-9)
-    assert scaling.line({f"{n} frames": [float(n * n)] for n in (20, 100, 196)})["deviation"] > 0.1
+    assert scaling.fit_line({f"{n} frames": [float(n * n)] for n in (20, 100, 196)})["deviation"] > 0.1
 
 
 def test_throughput_counts_clips() -> None:
@@ -53,7 +52,7 @@ def gate(behaviour: float, r_precision: float, milliseconds: float) -> dict[str,
         return {name: {"mean": value, "plus_minus": 0.02} for name, value in values.items()}
 
     scores = {"reference": of(0.9, 0.99), "candidate": of(behaviour, r_precision)}
-    return precision.verdict({"scores": scores, "times_ms": {"reference": [9.0, 10.0], "candidate": [milliseconds]}})
+    return precision.check_gate({"scores": scores, "times_ms": {"reference": [9.0, 10.0], "candidate": [milliseconds]}})
 
 
 def test_int8_passes_only_within_the_interval_and_only_faster() -> None:
@@ -72,11 +71,11 @@ def test_the_report_takes_what_is_there_and_refuses_quick_runs(tmp_path: Path) -
         "cold": {"graph": {"milliseconds": [400.0, 380.0], "peak_bytes": 160_000_000}},
     }
     (tmp_path / "bench.json").write_text(json.dumps(found))
-    text = report.report([tmp_path])
+    text = speed_table.markdown_table([tmp_path])
     assert "35 ms (least 30)" in text and "380 ms, peak memory 160 MB" in text and "0.1%" in text
     (tmp_path / "low_power.json").write_text(json.dumps({"machine": MACHINE, "quick": True, "reports": {}}))
     with pytest.raises(ValueError, match="quick run"):
-        report.report([tmp_path])
+        speed_table.markdown_table([tmp_path])
 
 
 def test_each_machine_has_its_column(tmp_path: Path) -> None:
@@ -94,7 +93,7 @@ def test_each_machine_has_its_column(tmp_path: Path) -> None:
         (tmp_path / name / "precision.json").write_text(json.dumps(found))
     reports = {"reports": {"one core": {"stages": {"total": [30.0]}}}, "machine": {**MACHINE, "cpu": "that CPU"}}
     (tmp_path / "there" / "low_power.json").write_text(json.dumps(reports))
-    lines = report.report([tmp_path / "here", tmp_path / "there"]).splitlines()
+    lines = speed_table.markdown_table([tmp_path / "here", tmp_path / "there"]).splitlines()
     assert lines[0].split(" | ")[1].startswith("this CPU") and lines[0].split(" | ")[2].startswith("that CPU")
     assert "| int8 is faster | 1.60 x | 1.60 x |" in lines
     assert (
@@ -103,9 +102,9 @@ def test_each_machine_has_its_column(tmp_path: Path) -> None:
     assert "| sentence to file on one core |  | 30 ms |" in lines
     (tmp_path / "here" / "low_power.json").write_text(json.dumps(reports))
     with pytest.raises(ValueError, match="was measured on this CPU, others on that CPU"):
-        report.report([tmp_path / "here"])
+        speed_table.markdown_table([tmp_path / "here"])
 
 
 def test_a_folder_without_results_is_named(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match=r"has none of bench\.json"):
-        report.report([tmp_path])
+        speed_table.markdown_table([tmp_path])

@@ -72,15 +72,15 @@ def test_trained_saved_and_used_without_torch(tmp_path: Path, monkeypatch: pytes
     evaluator = Evaluator(tmp_path / "out")
     assert evaluator.version == "7"
     clips = [walk(40), walk(61), walk(196)]
-    found = evaluator.motions(clips)
+    found = evaluator.embed_motions(clips)
     assert found.shape == (3, 64)
     # A batch of clips of other lengths changes nothing.
-    np.testing.assert_allclose(found[1], evaluator.motions([clips[1]])[0], atol=1e-5)
+    np.testing.assert_allclose(found[1], evaluator.embed_motions([clips[1]])[0], atol=1e-5)
     motion, _, mean, std = read_evaluator(tmp_path / "run")
     rows = torch.from_numpy((features_from_joints(clips[0]) - mean) / std)[None]
     with torch.no_grad():
         np.testing.assert_allclose(found[0], motion(rows, torch.ones(1, 40))[0].numpy(), atol=1e-4)
-    captions = evaluator.captions(["a person walks", "a person runs", "a person walks"])
+    captions = evaluator.embed_captions(["a person walks", "a person runs", "a person walks"])
     np.testing.assert_allclose(captions[0], captions[2], atol=1e-6)
     (tmp_path / "out" / "motion.onnx").write_bytes(b"another")
     with pytest.raises(BundleIntegrityError, match=r"motion\.onnx"):

@@ -1,4 +1,4 @@
-"""The behaviours that `behaviour.py` asks for: prompts in words of our own, and the predicate of each."""
+"""The behaviours that benchmarks ask for: prompts in words of our own, and the predicate that each must meet."""
 
 from __future__ import annotations
 
@@ -9,37 +9,41 @@ from kinegraph_benchmarks.common import predicates as p
 
 @dataclass(frozen=True)
 class Behaviour:
-    """One class of motion."""
+    """One class of motion: how it is asked for, and how it is recognised."""
 
     name: str
     prompts: tuple[str, ...]
     holds: p.Predicate
-    content: str
-    """Label of the captured clips it is compared with."""
+    action: str
+    """Label of the captured clips that it is compared with."""
     style: str | None = None
-    """Their style; None is any."""
+    """Style of those clips; None for any."""
     gated: bool = True
-    """Rare classes are reported only."""
+    """Whether it counts for passing; rare classes are reported only."""
 
 
 FORWARD = p.goes(1, 1, 0.5)
+"""Ends more than half a metre ahead."""
 
 
 def _raise(side: str) -> Behaviour:
+    """Describe raising the left hand, the right hand, or both."""
     hand = "both hands" if side == "both" else f"the {side} hand"
     arm = "both arms" if side == "both" else f"their {side} arm"
     prompts = (f"a person raises {hand}", f"someone lifts {arm} up", f"the person puts {hand} up in the air")
-    content = f"raise-up-{side}-hand" + ("s" if side == "both" else "")
-    return Behaviour(f"raises {hand}", prompts, p.raises(side), content)
+    action = f"raise-up-{side}-hand" + ("s" if side == "both" else "")
+    return Behaviour(f"raises {hand}", prompts, p.raises(side), action)
 
 
 def _wave(side: str) -> Behaviour:
+    """Describe waving the left hand, the right hand, or both."""
     hand = "both hands" if side == "both" else f"the {side} hand"
     prompts = (f"a person waves {hand}", f"someone is waving with {hand}", f"a man stands and waves {hand}")
     return Behaviour(f"waves {hand}", prompts, p.waves(side), f"wave-{side}-hand" + ("s" if side == "both" else ""))
 
 
 def _turn(side: str) -> Behaviour:
+    """Describe a walk that turns to one side."""
     prompts = (
         f"a person walks and turns {side}",
         f"someone is walking and makes a turn to the {side}",
@@ -48,11 +52,11 @@ def _turn(side: str) -> Behaviour:
     return Behaviour(f"turns {side}", prompts, p.turns(side), f"walk-turn-{side}")
 
 
-CONTENTS = (
+ACTIONS = (
     Behaviour("walks", ("a person walks forward", "someone is walking", "a man walks straight ahead"),
               FORWARD, "walk"),
     Behaviour("runs", ("a person runs forward", "someone is running", "a man jogs straight ahead"),
-              p.both(FORWARD, p.faster(1.6)), "run"),
+              p.all_of(FORWARD, p.faster(1.6)), "run"),
     *(_turn(side) for side in ("left", "right")),
     *(_raise(side) for side in ("left", "right", "both")),
     *(_wave(side) for side in ("left", "right", "both")),
@@ -60,15 +64,15 @@ CONTENTS = (
 
 STYLES = (
     Behaviour("walks slowly when exhausted", ("an exhausted person walks", "someone walks forward, very tired"),
-              p.both(FORWARD, p.slower(1.11)), "walk", "exhausted"),
+              p.all_of(FORWARD, p.slower(1.11)), "walk", "exhausted"),
     Behaviour("walks slowly when old", ("an old person walks forward", "someone walks like an elderly person"),
-              p.both(FORWARD, p.slower(1.0)), "walk", "elderly"),
+              p.all_of(FORWARD, p.slower(1.0)), "walk", "elderly"),
     Behaviour("walks fast when active", ("a person walks with a lot of energy", "someone walks energetically"),
-              p.both(FORWARD, p.faster(1.27)), "walk", "active"),
+              p.all_of(FORWARD, p.faster(1.27)), "walk", "active"),
     Behaviour("runs slowly when old", ("an old person runs", "someone is running like an elderly person"),
-              p.both(FORWARD, p.faster(1.0), p.slower(2.0)), "run", "elderly"),
+              p.all_of(FORWARD, p.faster(1.0), p.slower(2.0)), "run", "elderly"),
     Behaviour("runs fast when active", ("a person runs with a lot of energy", "someone runs energetically"),
-              p.both(FORWARD, p.faster(2.9)), "run", "active"),
+              p.all_of(FORWARD, p.faster(2.9)), "run", "active"),
     Behaviour("stands with feet apart, masculine",
               ("a person raises both hands in a masculine way", "someone lifts both arms in a manly way"),
               lambda joints: p.ankle_gap(joints) > 0.21, "raise-up-both-hands", "masculine"),
@@ -94,4 +98,4 @@ RARE = (
     Behaviour("kicks", ("a person kicks", "someone kicks with one leg"), p.kicks, "kick", gated=False),
 )  # fmt: skip
 
-BEHAVIOURS = CONTENTS + STYLES + RARE
+BEHAVIOURS = ACTIONS + STYLES + RARE

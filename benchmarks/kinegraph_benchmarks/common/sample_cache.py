@@ -1,4 +1,4 @@
-"""Clips generated for the captions of a split, kept on disk take by take so that a stopped evaluation goes on."""
+"""Generate clips for the captions of a split, and keep them on disk take by take so that a stopped run continues."""
 
 from __future__ import annotations
 
@@ -10,40 +10,52 @@ from pathlib import Path
 from typing import Any, Literal, Protocol
 
 import numpy as np
-from kinegraph.arrays import FloatArray
 
 from kinegraph import MotionPipeline
+from kinegraph.arrays import FloatArray
 from kinegraph_training.data.clips import MotionClip
 
 Spacing = Literal["leading", "trailing"]
 GuidanceBase = Literal["empty", "coarse"]
+MIN_FRAMES = 16
+"""Frames of the shortest clip that a model can generate."""
 
 
 class Model(Protocol):
-    """What makes clips: a bundle (`BundleModel`), or a training run (`torch_model.TorchModel`)."""
+    """Generator of clips: a bundle (`BundleModel`), or a training run (`torch_model.TorchModel`)."""
 
     name: str
     stamp: str
-    """Changes with the weights and the defaults."""
+    """Identifies the weights and the defaults."""
     fps: float
     seconds_limits: tuple[float, float]
 
     def generate(self, caption: str, *, seconds: float, seed: int, **options: Any) -> Any:
-        """An object with `joints`."""
+        """Generate a clip.
+
+        Returns:
+            An object with `joints` (frames, 22, 3).
+        """
 
 
 class BundleModel:
-    """A bundle through the runtime."""
+    """A bundle sampled by the runtime.
+
+    Args:
+        folder: of the bundle; None for the default bundle.
+        spacing: replaces the bundle's spacing of timesteps.
+        base: replaces the condition that the bundle's guidance leads away from.
+    """
 
     def __init__(self, folder: Path | None, spacing: Spacing | None = None, base: GuidanceBase | None = None) -> None:
-        """`spacing` and `base` replace what the bundle says of its timesteps and of what guidance leads away from."""
-        pipe = MotionPipeline.load(folder)
-        manifest = pipe.manifest
-        manifest = pipe.manifest = replace(
-            manifest,
-            schedule=replace(manifest.schedule, spacing=spacing or manifest.schedule.spacing),
-            defaults=replace(manifest.defaults, guidance_base=base or manifest.defaults.guidance_base),
+        bundled = MotionPipeline.load(folder)
+        manifest = replace(
+            bundled.manifest,
+            schedule=replace(bundled.manifest.schedule, spacing=spacing or bundled.manifest.schedule.spacing),
+            defaults=replace(bundled.manifest.defaults, guidance_base=base or bundled.manifest.defaults.guidance_base),
         )
+        encoder = bundled.encoder
+        pipe = MotionPipeline(manifest, encoder.sessions, encoder.tokenizer, encoder.tables, bundled.parser)
         self.name = f"{manifest.name} {manifest.version}"
         parts = [spec.sha256 for _, spec in sorted(manifest.files.items())] + [
             repr(manifest.defaults),
@@ -54,23 +66,36 @@ class BundleModel:
         self.generate = pipe.generate
 
 
-def captions_of(clips: Sequence[MotionClip], take: int) -> list[str]:
-    """One caption per clip: in take k the clip of row r has its caption k + r, modulo their number.
+def long_enough(clips: Sequence[MotionClip]) -> list[MotionClip]:
+    """Select the clips that are long enough for a model to be asked for them."""
+    return [clip for clip in clips if len(clip.joints) >= MIN_FRAMES]
 
-    Captions are written in kinds (the first never tells steps, degrees or heights): so every take holds all kinds, and
-    as many takes as there are captions ask for each of them once.
+
+def captions_for_take(clips: Sequence[MotionClip], take: int) -> list[str]:
+    """Choose one caption per clip: in take k the clip of row r gets its caption number k + r, modulo their number.
+
+    Captions of a clip come in a fixed order of kinds (the first never tells steps, degrees or heights). This way every
+    take holds all kinds, and as many takes as a clip has captions ask for each of them once.
     """
     return [clip.captions[(take + row) % len(clip.captions)] for row, clip in enumerate(clips)]
 
 
-def generated(
+def load_or_generate(
     model: Model, clips: Sequence[MotionClip], take: int, folder: Path, **options: Any
 ) -> tuple[list[FloatArray], list[str]]:
-    """One motion per clip, for one of its captions (`captions_of`) and as long as it, and the captions used.
+    """Read one take from its file, or generate it and write the file.
 
-    Take k uses seed 1000 k + row. `options` go to `generate`.
+    Args:
+        model: asked for one motion per clip, as long as the clip.
+        clips: captured clips.
+        take: number of the take; row r of take k has seed 1000 k + r and the caption of `captions_for_take`.
+        folder: of the takes (`cache_folder`).
+        options: keywords of `model.generate`.
+
+    Returns:
+        Joints (frames, 22, 3) of each motion, and the captions.
     """
-    captions = captions_of(clips, take)
+    captions = captions_for_take(clips, take)
     path = folder / f"take_{take:02d}.npz"
     if path.is_file():
         with np.load(path, allow_pickle=False) as stored:
@@ -92,7 +117,7 @@ def generated(
     return motions, captions
 
 
-def folder_of(model: Model, work: Path, split: str, clips: Sequence[MotionClip], options: object) -> Path:
-    """A folder that belongs to this model's weights, these clips and these options, and to nothing else."""
+def cache_folder(model: Model, work: Path, split: str, clips: Sequence[MotionClip], options: object) -> Path:
+    """Name the folder that belongs to this model's weights, these clips and these options, and to nothing else."""
     parts = [model.stamp, repr(options), *(clip.id for clip in clips)]
     return work / f"{split}_{hashlib.sha256(chr(10).join(parts).encode()).hexdigest()[:12]}"

@@ -1,5 +1,7 @@
-"""All numbers of one set of motions for the captions of a split; `evaluate.py` says them of generated clips, of the
-captured ones, and in comparison."""
+"""Score a set of motions, one for each captured clip of a split: the papers' metrics, recognition, claims, cleanliness.
+
+Generated motions and the captured ones themselves are scored in the same way and compared by `quality.evaluate`.
+"""
 
 from __future__ import annotations
 
@@ -8,159 +10,195 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from kinegraph.arrays import FloatArray
 from numpy.typing import NDArray
 
-from kinegraph_benchmarks.common.behaviour_prompts import CONTENTS, RARE
-from kinegraph_benchmarks.common.caption_claims import claims
+from kinegraph.arrays import FloatArray
+from kinegraph_benchmarks.common.behaviour_prompts import ACTIONS, RARE
+from kinegraph_benchmarks.common.caption_claims import parse_claims
 from kinegraph_benchmarks.common.evaluator import Evaluator
-from kinegraph_benchmarks.common.label_classifier import Recogniser
+from kinegraph_benchmarks.common.label_classifier import LabelClassifier
 from kinegraph_training import metrics
 from kinegraph_training.data.clips import MotionClip
 from kinegraph_training.metrics import diversity, frechet_distance, label_groups, matching_distance, r_precision
-from kinegraph_training.synthetic.compositions import resampled
+from kinegraph_training.synthetic.compositions import resample_linear
 
 GROUP = 32
+"""Captions among which R-precision looks for the right one."""
 DRAWS = 20
+"""Ways of grouping that R-precision is averaged over."""
 TWIN = 0.02
-"""Metres of mean joint distance below which a clip has a near twin in training."""
-PREDICATES = {behaviour.content: behaviour.holds for behaviour in CONTENTS + RARE}
+"""Mean joint distance, metres, below which a clip has a near twin in training."""
+PREDICATES = {behaviour.action: behaviour.holds for behaviour in ACTIONS + RARE}
 
 
 @dataclass(frozen=True)
 class Judges:
-    """What metrics; none of it comes from the generator."""
+    """Models and measures that score motions; none of them comes from the generator."""
 
     evaluator: Evaluator
-    recogniser: Recogniser
+    classifier: LabelClassifier
     bone_lengths: NDArray[np.float64]
+    """(21,) metres, mean of the training clips."""
 
 
 @dataclass(frozen=True)
 class Reference:
-    """The captured clips of a split, embedded once."""
+    """Captured clips of a split, n of them, embedded once."""
 
     clips: Sequence[MotionClip]
-    embeddings: NDArray[np.float32]
+    embeddings: FloatArray
+    """(n, e)"""
 
     @property
     def labels(self) -> list[str]:
-        """Content-style pair of each clip."""
-        return [f"{clip.content}/{clip.style}" for clip in self.clips]
+        """Action and style of each clip, "action/style"."""
+        return [f"{clip.action}/{clip.style}" for clip in self.clips]
 
 
 @dataclass(frozen=True)
-class Scored:
-    """One motion per clip of a reference, n of them."""
+class MotionScores:
+    """Scores of one motion per clip of a reference, n of them."""
 
-    numbers: dict[str, float]
-    embeddings: NDArray[np.float32]
-    """(n, e) of the motions."""
-    texts: NDArray[np.float32]
-    """(n, e) of the captions."""
-    kept: dict[str, NDArray[np.float64]]
-    """See `kept_labels`."""
+    metrics: dict[str, float]
+    motion_embeddings: FloatArray
+    """(n, e)"""
+    caption_embeddings: FloatArray
+    """(n, e)"""
+    label_hits: dict[str, NDArray[np.float64]]
+    """See `label_hits`."""
 
 
-def scores(
+def score_motions(
     motions: Sequence[FloatArray],
     captions: Sequence[str],
     reference: Reference,
     judges: Judges,
     rng: np.random.Generator,
-) -> Scored:
-    """All numbers of one motion per clip of the reference."""
-    embedded, texts = judges.evaluator.motions(motions), judges.evaluator.captions(captions)
+) -> MotionScores:
+    """Score one motion per clip of the reference.
+
+    Args:
+        motions: joints (frames, 22, 3) of each, metres, 20 frames per second.
+        captions: what each was asked for.
+        reference: the captured clips, in the same order.
+        judges: see `Judges`.
+        rng: draws groups and pairs.
+    """
+    embedded, texts = judges.evaluator.embed_motions(motions), judges.evaluator.embed_captions(captions)
     hits = grouped_r_precision(texts, embedded, reference.labels, rng)
-    found = {f"r_precision_{place}": float(hit) for place, hit in enumerate(hits, start=1)}
-    found["fid"] = frechet_distance(embedded, reference.embeddings)
+    values = {f"r_precision_{top}": float(hit) for top, hit in enumerate(hits, start=1)}
+    values["fid"] = frechet_distance(embedded, reference.embeddings)
     half, other = np.array_split(rng.permutation(len(embedded)), 2)
-    # Clips that neither side shares: the same number for captured motion is the floor that it can be compared with.
-    found["fid_of_halves"] = frechet_distance(embedded[half], reference.embeddings[other])
-    found["mm_dist"] = matching_distance(texts, embedded)
-    found["diversity"] = diversity(embedded, rng)
-    kept = kept_labels(motions, reference.clips, judges.recogniser)
-    found |= means(kept) | claims_kept(motions, captions)
-    found["jerk"] = float(np.mean([metrics.jerk(joints) for joints in motions]))
-    found["foot_skate"] = float(np.nanmean([metrics.foot_skate(joints) for joints in motions]))
+    # Clips that the two sides do not share: for captured motion this is the floor to compare with.
+    values["fid_of_halves"] = frechet_distance(embedded[half], reference.embeddings[other])
+    values["mm_dist"] = matching_distance(texts, embedded)
+    values["diversity"] = diversity(embedded, rng)
+    kept = label_hits(motions, reference.clips, judges.classifier)
+    values |= mean_rates(kept) | claim_rates(motions, captions)
+    values["jerk"] = float(np.mean([metrics.jerk(joints) for joints in motions]))
+    values["foot_skate"] = float(np.nanmean([metrics.foot_skate(joints) for joints in motions]))
     waving = [joints for joints, clip in zip(motions, reference.clips, strict=True) if is_wave(clip)]
     if waving:
-        found["wave_speed"] = float(np.mean([metrics.hand_speed(joints) for joints in waving]))
-    found["bone_error_mm"] = float(np.mean([metrics.bone_error(joints, judges.bone_lengths) for joints in motions]))
-    return Scored(found, embedded, texts, kept)
+        values["wave_speed"] = float(np.mean([metrics.hand_speed(joints) for joints in waving]))
+    values["bone_error_mm"] = float(np.mean([metrics.bone_error(joints, judges.bone_lengths) for joints in motions]))
+    return MotionScores(values, embedded, texts, kept)
 
 
 def is_wave(clip: MotionClip) -> bool:
-    """Whether the clip waves a hand: what a model that draws the mean of all that may happen loses first."""
-    return clip.content.startswith("wave")
+    """Tell whether a clip waves a hand.
+
+    Waving is what a model loses first if it draws the mean of all motions that fit a caption.
+    """
+    return clip.action.startswith("wave")
 
 
 def grouped_r_precision(
-    texts: NDArray[np.float32], motions: NDArray[np.float32], labels: Sequence[str], rng: np.random.Generator
+    texts: FloatArray, motions: FloatArray, labels: Sequence[str], rng: np.random.Generator
 ) -> NDArray[np.float64]:
-    """R-precision top 1, 2, 3 in groups of distinct labels, mean over `DRAWS` ways to group: (3,)."""
+    """Compute R-precision in groups of distinct labels.
+
+    Args:
+        texts: (n, e) embeddings of captions.
+        motions: (n, e) embeddings of motions, in the same order.
+        labels: of the clips; a group holds each at most once.
+        rng: draws the groups.
+
+    Returns:
+        (3,) top 1, 2 and 3, mean over `DRAWS` ways of grouping.
+    """
     groups = [rows for _ in range(DRAWS) for rows in label_groups(labels, GROUP, rng)]
-    found: NDArray[np.float64] = np.mean([r_precision(texts[rows], motions[rows]) for rows in groups], axis=0)
-    return found
+    precision: NDArray[np.float64] = np.mean([r_precision(texts[rows], motions[rows]) for rows in groups], axis=0)
+    return precision
 
 
-def claims_kept(motions: Sequence[FloatArray], captions: Sequence[str]) -> dict[str, float]:
-    """Share of the claims of captions that their motions keep."""
+def claim_rates(motions: Sequence[FloatArray], captions: Sequence[str]) -> dict[str, float]:
+    """Compute the share of claims of captions that their motions keep, by kind of claim."""
     kept: dict[str, list[bool]] = {"steps": [], "degrees": [], "height": []}
     for joints, caption in zip(motions, captions, strict=True):
-        for claim in claims(caption):
+        for claim in parse_claims(caption):
             kept[claim.kind].append(claim.holds(joints))
     return {f"claims_{kind}": float(np.mean(values)) for kind, values in kept.items() if values}
 
 
-def kept_labels(
-    motions: Sequence[FloatArray], clips: Sequence[MotionClip], recogniser: Recogniser
+def label_hits(
+    motions: Sequence[FloatArray], clips: Sequence[MotionClip], classifier: LabelClassifier
 ) -> dict[str, NDArray[np.float64]]:
-    """Per clip (n,) 1 where its motion does what its content says (nan: no predicate says) and where its content and
-    its style are recognised, else 0."""
+    """Compare what each motion shows with the labels of its clip.
+
+    Returns:
+        Per clip (n,) 1 for yes and 0 for no. "behaviour": the predicate of its action holds (nan where there is none);
+        "content" and "style": the classifier recognises its action and its style.
+    """
     does = [
-        float(PREDICATES[clip.content](joints)) if clip.content in PREDICATES else np.nan
+        float(PREDICATES[clip.action](joints)) if clip.action in PREDICATES else np.nan
         for joints, clip in zip(motions, clips, strict=True)
     ]
-    found = {"behaviour": np.array(does)}
+    hits = {"behaviour": np.array(does)}
     for name in ("content", "style"):
-        seen = recogniser(motions, name)
-        found[name] = np.array([float(one == getattr(clip, name)) for one, clip in zip(seen, clips, strict=True)])
-    return found
+        labels = classifier(motions, name)
+        hits[name] = np.array([float(label == getattr(clip, name)) for label, clip in zip(labels, clips, strict=True)])
+    return hits
 
 
-def means(kept: dict[str, NDArray[np.float64]], rows: Sequence[int] | None = None) -> dict[str, float]:
-    """Share of clips that keep each label, of all or of some rows."""
-    some = {name: values if rows is None else values[rows] for name, values in kept.items()}
-    return {name: float(np.nanmean(values)) for name, values in some.items() if not np.isnan(values).all()}
+def mean_rates(hits: dict[str, NDArray[np.float64]], rows: Sequence[int] | None = None) -> dict[str, float]:
+    """Compute the share of clips that keep each label, over all rows of `label_hits` or some."""
+    selected = {name: values if rows is None else values[rows] for name, values in hits.items()}
+    return {name: float(np.nanmean(values)) for name, values in selected.items() if not np.isnan(values).all()}
 
 
-def by_pair(kept: dict[str, NDArray[np.float64]], reference: Reference) -> dict[str, dict[str, float]]:
-    """`means` of each content-style pair: where that of a split is lost."""
-    rows: dict[str, list[int]] = {}
+def rates_by_label(hits: dict[str, NDArray[np.float64]], reference: Reference) -> dict[str, dict[str, float]]:
+    """Compute `mean_rates` of each pair of action and style, to see where the rates of a split are lost."""
+    rows_of: dict[str, list[int]] = {}
     for row, label in enumerate(reference.labels):
-        rows.setdefault(label, []).append(row)
-    return {pair: means(kept, own) for pair, own in sorted(rows.items())}
+        rows_of.setdefault(label, []).append(row)
+    return {label: mean_rates(hits, rows) for label, rows in sorted(rows_of.items())}
 
 
-def has_twin(clips: Sequence[MotionClip], train: Sequence[MotionClip], frames: int = 32) -> list[bool]:
-    """Whether a training clip of the same content and style is nearer than `TWIN`, both resampled to `frames`."""
+def has_near_twin(clips: Sequence[MotionClip], train: Sequence[MotionClip], frames: int = 32) -> list[bool]:
+    """Tell for each clip whether a training clip of the same labels is nearer than `TWIN`, both of `frames` frames."""
     known: dict[tuple[str, str], list[FloatArray]] = {}
     for clip in train:
-        known.setdefault((clip.content, clip.style), []).append(resampled(clip.joints, frames))
-    found = []
+        known.setdefault((clip.action, clip.style), []).append(resample_linear(clip.joints, frames))
+    twins = []
     for clip in clips:
-        own = resampled(clip.joints, frames)
-        others = known.get((clip.content, clip.style), [])
-        found.append(any(np.linalg.norm(own - other, axis=-1).mean() < TWIN for other in others))
-    return found
+        joints = resample_linear(clip.joints, frames)
+        others = known.get((clip.action, clip.style), [])
+        twins.append(any(np.linalg.norm(joints - other, axis=-1).mean() < TWIN for other in others))
+    return twins
 
 
-def summarised(rows: Sequence[dict[str, float]]) -> dict[str, dict[str, float]]:
-    """Mean over repeats, with 1.96 standard errors as the papers print it."""
-    found: dict[str, dict[str, Any]] = {}
+def average_repeats(rows: Sequence[dict[str, float]]) -> dict[str, dict[str, float]]:
+    """Average metrics over repeats.
+
+    Args:
+        rows: metrics of each repeat by name; a name may be missing in some.
+
+    Returns:
+        By name "mean" and "plus_minus", 1.96 standard errors, as the papers print them.
+    """
+    averages: dict[str, dict[str, Any]] = {}
     for name in dict.fromkeys(name for row in rows for name in row):
         values = np.array([row[name] for row in rows if name in row])
-        spread = float(1.96 * values.std(ddof=1) / np.sqrt(len(values))) if len(values) > 1 else 0.0
-        found[name] = {"mean": float(values.mean()), "plus_minus": spread}
-    return found
+        interval = float(1.96 * values.std(ddof=1) / np.sqrt(len(values))) if len(values) > 1 else 0.0
+        averages[name] = {"mean": float(values.mean()), "plus_minus": interval}
+    return averages

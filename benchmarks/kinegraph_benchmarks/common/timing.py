@@ -1,4 +1,4 @@
-"""Times that can be compared: the arms take turns in one process, every repeat is kept."""
+"""Time alternatives so that they can be compared: they take turns in one process, and every repeat is kept."""
 
 from __future__ import annotations
 
@@ -8,10 +8,20 @@ from collections.abc import Callable, Mapping
 import numpy as np
 
 Arm = Callable[[], object]
+"""One of the alternatives: a call to time."""
 
 
-def taking_turns(arms: Mapping[str, Arm], repeats: int, warm_up: int = 2) -> dict[str, list[float]]:
-    """Milliseconds of every repeat of every arm; an arm runs once per turn, warm-up not counted."""
+def time_interleaved(arms: Mapping[str, Arm], repeats: int, warm_up: int = 2) -> dict[str, list[float]]:
+    """Time every arm once per round, so that a slow phase of the machine hits all of them.
+
+    Args:
+        arms: calls to time, by name.
+        repeats: rounds that count.
+        warm_up: rounds before them that do not.
+
+    Returns:
+        Milliseconds of every repeat of every arm, to a microsecond.
+    """
     for _ in range(warm_up):
         for run in arms.values():
             run()
@@ -20,17 +30,17 @@ def taking_turns(arms: Mapping[str, Arm], repeats: int, warm_up: int = 2) -> dic
         for name, run in arms.items():
             start = time.perf_counter()
             run()
-            times[name].append(1000.0 * (time.perf_counter() - start))
+            times[name].append(round(1000.0 * (time.perf_counter() - start), 3))
     return times
 
 
-def in_one_process(arms: Mapping[str, Arm], repeats: int) -> dict[str, list[float]]:
-    """`taking_turns`, rounded to what a clock is worth."""
-    return {name: [round(value, 3) for value in values] for name, values in taking_turns(arms, repeats).items()}
+def timing_table(times: Mapping[str, list[float]], against: str | None = None) -> str:
+    """Format times as Markdown: median, minimum and 95th percentile of each arm.
 
-
-def summary(times: Mapping[str, list[float]], against: str | None = None) -> str:
-    """Markdown: median, minimum, 95th percentile, and the ratio of minima to the arm `against`."""
+    Args:
+        times: milliseconds of every repeat, by arm.
+        against: an arm; adds a column with the ratio of its minimum to that of each arm.
+    """
     lines = ["| ms | median | minimum | p95 |" + (f" {against} / this |" if against else "")]
     lines.append("|---|---|---|---|" + ("---|" if against else ""))
     for name, values in times.items():

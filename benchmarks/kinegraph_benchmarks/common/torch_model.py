@@ -1,5 +1,7 @@
-"""A training run sampled in torch, so that models which are for comparison only (GraphMotion's `concat`, one-stage
-latent diffusion, ablations) are measured by the same `evaluate.py` as a bundle."""
+"""Sample a training run in torch, so that models for comparison only are measured by the same `quality.evaluate`.
+
+Such models are GraphMotion's `concat`, one-stage latent diffusion, and ablations: they are not exported to a bundle.
+"""
 
 from __future__ import annotations
 
@@ -7,10 +9,9 @@ import hashlib
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
 import torch
-from numpy.typing import NDArray
 
+from kinegraph.arrays import FloatArray
 from kinegraph.bundle.contract import LEVELS
 from kinegraph.bundle.reader import DEFAULT_BUNDLE
 from kinegraph.bundle.tables import bones_of
@@ -21,25 +22,31 @@ from kinegraph.motion.postprocess import enforce_bone_lengths, lock_feet
 from kinegraph_export.checkpoints import read_run
 from kinegraph_export.pipeline_parity import Request, torch_joints
 from kinegraph_training.bundle_tables import read_tables
-from kinegraph_training.data.caption_cache import CaptionEncoder, plain_tokens
+from kinegraph_training.data.caption_cache import CaptionEncoder, tokens_as_graph
 
 FPS = 20
 STEPS = {"motion": 15, "action": 15, "specific": 20}
 ONE_STAGE_STEPS = 50
-"""All steps of the three levels, for a model that has only one."""
+"""Steps of a model that has only one level: as many as the three levels have together."""
 GUIDANCE = 2.5
 GUIDANCE_BASE = "coarse"
 
 
 @dataclass(frozen=True)
 class TorchClip:
-    """What `evaluate.py` reads of a clip."""
+    """A generated clip, as far as benchmarks read it."""
 
-    joints: NDArray[np.float32]
+    joints: FloatArray
+    """(frames, 22, 3) metres."""
 
 
 class TorchModel:
-    """Stands in for a pipeline: `generate`, `seconds_limits`, `fps`, `name`, `stamp`."""
+    """Generator of clips from a training run (see `sample_cache.Model`).
+
+    Args:
+        run: folder with checkpoints and tables.npz.
+        text_files: bundle that has the tokenizer, the text encoder and the parser.
+    """
 
     fps = FPS
     seconds_limits = (16 / FPS, 196 / FPS)
@@ -48,7 +55,7 @@ class TorchModel:
         self.name = run.name
         checkpoint = run / "denoisers" / "last.ckpt"
         self.stamp = hashlib.sha256(checkpoint.read_bytes()).hexdigest()
-        self._trained, self._own = read_run(run)
+        self._trained, self._vae = read_run(run)
         self._encoder = CaptionEncoder(text_files)
         self._config = self._trained.hierarchy.config
         self._bones = bones_of(read_tables(run))
@@ -62,7 +69,15 @@ class TorchModel:
         steps: list[int] | None = None,
         guidance: float = GUIDANCE,
     ) -> TorchClip:
-        """As `MotionPipeline.generate`, the noise drawn in the same way; steps in the order of the model's levels."""
+        """Generate a clip as `MotionPipeline.generate` does, with the same noise for a seed.
+
+        Args:
+            caption: a sentence or its graph.
+            seconds: length.
+            seed: of the noise.
+            steps: diffusion steps, in the order of the model's levels.
+            guidance: scale, the same at every level.
+        """
         latents = self._trained.hierarchy.latents
         if steps is not None:
             counts = dict(zip(latents, steps, strict=True))
@@ -72,12 +87,13 @@ class TorchModel:
         request = Request(
             round(seconds * FPS), initial_noise(seed, plans), counts, dict.fromkeys(latents, guidance), GUIDANCE_BASE
         )
-        joints = torch_joints(self._trained, self._condition(caption), request, self._own.mean, self._own.std)
+        joints = torch_joints(self._trained, self._encode(caption), request, self._vae.mean, self._vae.std)
         return TorchClip(lock_feet(enforce_bone_lengths(joints, self._bones), FPS))
 
     @torch.no_grad()
-    def _condition(self, caption: str | SemanticGraph) -> GraphArrays:
+    def _encode(self, caption: str | SemanticGraph) -> GraphArrays:
+        """Encode a caption as the run's denoisers were trained: its graph, or its plain tokens."""
         if self._config.condition == "tokens":
             words = caption if isinstance(caption, str) else caption.caption
-            return plain_tokens(self._encoder.hidden(words))
+            return tokens_as_graph(self._encoder.hidden_states(words))
         return self._encoder(caption)

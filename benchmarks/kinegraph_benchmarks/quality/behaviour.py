@@ -1,39 +1,47 @@
-"""Do generated clips do what their caption says? Counted beside captured clips of the same label.
+"""Measure how often generated clips do what their caption says, beside captured clips of the same label.
 
     python -m kinegraph_benchmarks.quality.behaviour --data DATA/bandai --out behaviour.json
 
-Every prompt of `behaviours.py` is generated with the same seeds, as long as the median captured clip of its label. A
-class passes at half the captured rate or more, all gated classes together at 0.9 of it on average.
+Every prompt of `common.behaviour_prompts` is generated with the same seeds, as long as the median captured clip of its
+label. A class passes at half the captured rate or more, all gated classes together at 0.9 of it on average.
 """
 
 from __future__ import annotations
 
-import argparse
-import json
 import sys
-from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from kinegraph import KinegraphError, MotionPipeline
+from kinegraph.arrays import FloatArray
 from kinegraph.motion.skeleton import bone_lengths
+from kinegraph_benchmarks.common.arguments import add_arguments, benchmark_parser
 from kinegraph_benchmarks.common.behaviour_prompts import BEHAVIOURS, Behaviour
+from kinegraph_benchmarks.common.report_io import write_report
 from kinegraph_training import metrics
 from kinegraph_training.data.clips import MotionClip, read_split
 
 SPLITS = ("train", "val", "dev_test")
 
 
-def captured(clips: list[MotionClip], behaviour: Behaviour) -> list[MotionClip]:
-    """Captured clips of the behaviour's label."""
-    return [clip for clip in clips if clip.content == behaviour.content and behaviour.style in (None, clip.style)]
+def captured_clips(clips: list[MotionClip], behaviour: Behaviour) -> list[MotionClip]:
+    """Select the captured clips of a behaviour's label."""
+    return [clip for clip in clips if clip.action == behaviour.action and behaviour.style in (None, clip.style)]
 
 
-def generate(
+def median_seconds(pipe: MotionPipeline, clips: list[MotionClip]) -> float:
+    """Compute the median length of clips in seconds, limited to what the bundle can generate."""
+    shortest, longest = pipe.manifest.seconds_limits
+    median = float(np.median([len(clip.joints) for clip in clips])) / pipe.manifest.fps
+    return min(max(median, shortest), longest)
+
+
+def generate_clips(
     pipe: MotionPipeline, behaviour: Behaviour, seconds: float, seeds: int
-) -> list[tuple[str, int, np.ndarray]]:
-    """(prompt, seed, joints) of every prompt and seed."""
+) -> list[tuple[str, int, FloatArray]]:
+    """Generate every prompt with every seed: (prompt, seed, joints)."""
     return [
         (prompt, seed, pipe.generate(prompt, seconds=seconds, seed=seed).joints)
         for prompt in behaviour.prompts
@@ -41,8 +49,13 @@ def generate(
     ]
 
 
-def cleanliness(motions: list[np.ndarray], lengths: np.ndarray) -> dict[str, float]:
-    """Means over clips."""
+def motion_quality(motions: list[FloatArray], lengths: NDArray[np.float64]) -> dict[str, float]:
+    """Average jerk, foot skate and bone error over clips.
+
+    Args:
+        motions: joints (frames, 22, 3) of each clip.
+        lengths: (21,) bone lengths to compare with, metres.
+    """
     return {
         "jerk_m_s3": float(np.mean([metrics.jerk(joints) for joints in motions])),
         "foot_skate_m_s": float(np.nanmean([metrics.foot_skate(joints) for joints in motions])),
@@ -50,16 +63,14 @@ def cleanliness(motions: list[np.ndarray], lengths: np.ndarray) -> dict[str, flo
     }
 
 
-def measure(
-    pipe: MotionPipeline, behaviour: Behaviour, clips: list[MotionClip], seeds: int, lengths: np.ndarray
+def measure_behaviour(
+    pipe: MotionPipeline, behaviour: Behaviour, clips: list[MotionClip], seeds: int, lengths: NDArray[np.float64]
 ) -> dict[str, Any]:
-    """One row of the table."""
-    real = captured(clips, behaviour)
-    shortest, longest = pipe.manifest.seconds_limits
-    median = float(np.median([len(clip.joints) for clip in real])) / pipe.manifest.fps
-    seconds = min(max(median, shortest), longest)
-    made = generate(pipe, behaviour, seconds, seeds)
-    held = [behaviour.holds(joints) for _, _, joints in made]
+    """Measure one behaviour: one row of the table."""
+    real = captured_clips(clips, behaviour)
+    seconds = median_seconds(pipe, real)
+    generated = generate_clips(pipe, behaviour, seconds, seeds)
+    held = [behaviour.holds(joints) for _, _, joints in generated]
     real_rate = float(np.mean([behaviour.holds(clip.joints) for clip in real]))
     rate = float(np.mean(held))
     return {
@@ -69,20 +80,20 @@ def measure(
         "seconds": seconds,
         "captured_clips": len(real),
         "captured_rate": real_rate,
-        "generated_clips": len(made),
+        "generated_clips": len(generated),
         "generated_rate": rate,
-        # At most 1: being better than the captured clips at one class makes up for no other.
+        # At most 1: being better than the captured clips at one class does not make up for another.
         "ratio": min(rate / real_rate, 1.0) if real_rate else None,
-        "captured": cleanliness([clip.joints for clip in real], lengths),
-        "generated": cleanliness([joints for _, _, joints in made], lengths),
+        "captured": motion_quality([clip.joints for clip in real], lengths),
+        "generated": motion_quality([joints for _, _, joints in generated], lengths),
         "failed": [
-            {"prompt": prompt, "seed": seed} for (prompt, seed, _), ok in zip(made, held, strict=True) if not ok
+            {"prompt": prompt, "seed": seed} for (prompt, seed, _), ok in zip(generated, held, strict=True) if not ok
         ],
     }
 
 
-def summary(rows: list[dict[str, Any]]) -> dict[str, Any]:
-    """Means over the gated classes, each weighing the same, and whether they pass."""
+def summarise(rows: list[dict[str, Any]]) -> dict[str, Any]:
+    """Average the gated classes, each weighing the same, and decide whether they pass."""
     gated = [row for row in rows if row["gated"]]
     ratios = [row["ratio"] for row in gated]
 
@@ -101,39 +112,37 @@ def summary(rows: list[dict[str, Any]]) -> dict[str, Any]:
     }
 
 
-def table(rows: list[dict[str, Any]], total: dict[str, Any]) -> str:
-    """Markdown."""
+def markdown_table(rows: list[dict[str, Any]], total: dict[str, Any]) -> str:
+    """Format rows and their summary as Markdown."""
     lines = ["| behaviour | captured | generated | ratio | jerk | skate | bones |", "|---|---|---|---|---|---|---|"]
     for row in rows:
         note = "" if row["gated"] else " (reported only)"
         ratio = "-" if row["ratio"] is None else f"{row['ratio']:.2f}"
         lines.append(
             f"| {row['name']}{note} | {row['captured_rate']:.2f} of {row['captured_clips']}"
-            f" | {row['generated_rate']:.2f} of {row['generated_clips']} | {ratio} | {_pairs(row)} |"
+            f" | {row['generated_rate']:.2f} of {row['generated_clips']} | {ratio} | {_quality_cells(row)} |"
         )
     lines.append(
         f"| **gated classes, mean** | {total['captured_rate']:.2f} | {total['generated_rate']:.2f}"
-        f" | {total['mean_ratio']:.2f} (lowest {total['lowest_ratio']:.2f}) | {_pairs(total)} |"
+        f" | {total['mean_ratio']:.2f} (lowest {total['lowest_ratio']:.2f}) | {_quality_cells(total)} |"
     )
     lines.append("\nJerk in m/s^3, skating of standing toes in m/s, bone-length error in mm: generated (captured).")
     return "\n".join(lines)
 
 
-def _pairs(row: dict[str, Any]) -> str:
-    made, real = row["generated"], row["captured"]
+def _quality_cells(row: dict[str, Any]) -> str:
+    """Format jerk, foot skate and bone error: generated (captured)."""
+    ours, real = row["generated"], row["captured"]
     return " | ".join(
-        f"{made[name]:.{digits}f} ({real[name]:.{digits}f})"
+        f"{ours[name]:.{digits}f} ({real[name]:.{digits}f})"
         for name, digits in (("jerk_m_s3", 0), ("foot_skate_m_s", 2), ("bone_error_mm", 1))
     )
 
 
 def main() -> int:
-    """0: passes; 1: does not; 2: wrong input."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--data", type=Path, required=True, help="folder of the captured motion (bandai)")
-    parser.add_argument("--bundle", type=Path, help="folder of a bundle; the default bundle without it")
-    parser.add_argument("--seeds", type=int, default=10)
-    parser.add_argument("--out", type=Path, help="write everything as JSON")
+    """Run the command line: 0 if the classes pass, 1 if they do not, 2 for wrong input."""
+    parser = benchmark_parser(__doc__)
+    add_arguments(parser, "data", "bundle", "out", optional=("out",), seeds=10)
     options = parser.parse_args()
     try:
         pipe = MotionPipeline.load(options.bundle)
@@ -141,17 +150,15 @@ def main() -> int:
         lengths = np.mean([bone_lengths(clip.joints).mean(0) for clip in clips], axis=0)
         rows = []
         for behaviour in BEHAVIOURS:
-            rows.append(measure(pipe, behaviour, clips, options.seeds, lengths))
+            rows.append(measure_behaviour(pipe, behaviour, clips, options.seeds, lengths))
             print(f"{behaviour.name}: {rows[-1]['generated_rate']:.2f}", file=sys.stderr)
     except KinegraphError as error:
         print(f"behaviour: error: {error}", file=sys.stderr)
         return 2
-    total = summary(rows)
-    print(table(rows, total))
-    if options.out:
-        bundle = f"{pipe.manifest.name} {pipe.manifest.version}"
-        result = {"bundle": bundle, "seeds": options.seeds, "summary": total, "behaviours": rows}
-        options.out.write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
+    total = summarise(rows)
+    bundle = f"{pipe.manifest.name} {pipe.manifest.version}"
+    result = {"bundle": bundle, "seeds": options.seeds, "summary": total, "behaviours": rows}
+    write_report(options.out, result, markdown_table(rows, total) + "\n")
     return 0 if total["passes"] else 1
 
 

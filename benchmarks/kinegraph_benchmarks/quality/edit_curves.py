@@ -1,18 +1,16 @@
-"""Do edits do what they say? Weight of one edge from 0 to 3 against a physical quantity (GraphMotion, Figures 5 and 6).
+"""Measure a physical quantity against the weight of one edge, from 0 to 3 (GraphMotion, Figures 5 and 6).
 
     python -m kinegraph_benchmarks.quality.edit_curves --out edit_curves.json
 
-Each curve turns one edge of one caption's graph, over the same seeds at every weight. It counts as met where the mean
-over seeds is monotone (Spearman 0.8 or more, in the sense expected) and moves from weight 0 to 3 by the standard
+Each curve weights one edge of one caption's graph, with the same seeds at every weight. A curve is met if its mean over
+seeds is monotone (Spearman 0.8 or more, in the sense expected), and if it moves from weight 0 to 3 by the standard
 deviation over seeds at weight 1 or more. Writes JSON, and a Markdown table beside it.
 """
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Callable
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -23,81 +21,93 @@ from kinegraph.arrays import FloatArray
 from kinegraph.edits import with_weight
 from kinegraph.motion.skeleton import JOINT_INDEX
 from kinegraph_benchmarks.common import predicates as p
+from kinegraph_benchmarks.common.arguments import add_arguments, benchmark_parser
 from kinegraph_benchmarks.common.report_io import write_report
 
 WEIGHTS = (0.0, 0.5, 1.0, 1.5, 2.0, 2.5, 3.0)
-MONOTONE, MOVED = 0.8, 1.0
+MONOTONE = 0.8
+"""Lowest Spearman correlation of a curve that is met."""
+MOVED = 1.0
+"""Least change from first to last weight, in standard deviations over seeds."""
 
 
 @dataclass(frozen=True)
 class Curve:
-    """One edge and what it should move."""
+    """One edge and the quantity that its weight should move."""
 
     name: str
     caption: str
     node: str
+    """Text of the node that the edge leads to."""
     quantity: Callable[[FloatArray], float]
+    """Joints (frames, 22, 3) -> value in `unit`."""
     sense: int
-    """+1: more weight, more of it."""
+    """+1: more weight, a larger quantity; -1: a smaller one."""
     unit: str
 
 
-def higher(side: str) -> Callable[[FloatArray], float]:
-    """Mean height of that wrist less that of the other, metres."""
+def wrist_above_other(side: str) -> Callable[[FloatArray], float]:
+    """Make a quantity: mean height of that wrist less that of the other, metres."""
     other = "left" if side == "right" else "right"
 
-    def measured(joints: FloatArray) -> float:
-        heights = {each: joints[:, JOINT_INDEX[f"{each}_wrist"], 1].mean() for each in (side, other)}
+    def difference(joints: FloatArray) -> float:
+        heights = {wrist: joints[:, JOINT_INDEX[f"{wrist}_wrist"], 1].mean() for wrist in (side, other)}
         return float(heights[side] - heights[other])
 
-    return measured
+    return difference
 
 
 def share_walking(joints: FloatArray) -> float:
-    """Share of frames in which the pelvis moves faster than 0.4 m/s over the floor."""
+    """Measure the share of frames in which the pelvis moves faster than 0.4 m/s over the floor."""
     step = np.linalg.norm(np.diff(joints[:, 0][:, [0, 2]], axis=0), axis=1) * p.FPS
     return float((np.convolve(step, np.ones(5) / 5, mode="same") > 0.4).mean())
 
 
 def share_raised(joints: FloatArray) -> float:
-    """Share of frames in which a wrist is above the head."""
+    """Measure the share of frames in which a wrist is above the head."""
     wrists = joints[:, [JOINT_INDEX["left_wrist"], JOINT_INDEX["right_wrist"]], 1]
     return float((wrists.max(axis=1) > joints[:, JOINT_INDEX["head"], 1]).mean())
 
 
-def turned(side: int) -> Callable[[FloatArray], float]:
-    """Change of heading to that side, degrees."""
+def turn_to(side: int) -> Callable[[FloatArray], float]:
+    """Make a quantity: change of heading, degrees, to the left (side 1) or to the right (-1)."""
     return lambda joints: side * p.net_turn(joints)
 
 
 CURVES = (
-    Curve("direction, left", "a person walks and turns to the left", "to the left", turned(1), 1, "degrees"),
-    Curve("direction, right", "a person walks and turns to the right", "to the right", turned(-1), 1, "degrees"),
+    Curve("direction, left", "a person walks and turns to the left", "to the left", turn_to(1), 1, "degrees"),
+    Curve("direction, right", "a person walks and turns to the right", "to the right", turn_to(-1), 1, "degrees"),
     Curve("manner, slower", "a person walks in an exhausted way", "in an exhausted way", p.speed, -1, "m/s"),
     Curve("manner, faster", "a person walks energetically", "energetically", p.speed, 1, "m/s"),
-    Curve("body part, right", "a person waves with the right hand", "with the right hand", higher("right"), 1, "m"),
-    Curve("body part, left", "a person raises the left hand", "the left hand", higher("left"), 1, "m"),
+    Curve("body part, right", "a person waves with the right hand", "with the right hand", wrist_above_other("right"),
+          1, "m"),
+    Curve("body part, left", "a person raises the left hand", "the left hand", wrist_above_other("left"), 1, "m"),
     Curve("action, first", "a person walks and raises both hands", "walks", share_walking, 1, "share"),
     Curve("action, second", "a person walks and raises both hands", "raises", share_raised, 1, "share"),
 )  # fmt: skip
 
 
 def ranks(values: NDArray[np.float64]) -> NDArray[np.float64]:
-    """1 for the smallest; equal values share the mean of their ranks."""
+    """Rank values: 1 for the smallest; equal values share the mean of their ranks."""
     below = (values[None] < values[:, None]).sum(axis=1)
     return below + ((values[None] == values[:, None]).sum(axis=1) + 1) / 2
 
 
 def spearman(first: NDArray[np.float64], second: NDArray[np.float64]) -> float:
-    """Rank correlation; 0 where one of them does not change."""
-    one, other = ranks(first), ranks(second)
-    if one.std() == 0 or other.std() == 0:
+    """Compute the rank correlation (Spearman); 0 where one of them does not change."""
+    first_ranks, second_ranks = ranks(first), ranks(second)
+    if first_ranks.std() == 0 or second_ranks.std() == 0:
         return 0.0
-    return float(np.corrcoef(one, other)[0, 1])
+    return float(np.corrcoef(first_ranks, second_ranks)[0, 1])
 
 
-def judged(values: NDArray[np.float64], sense: int) -> dict[str, Any]:
-    """Of (weights, seeds) values: the curve, how monotone it is, and how far it goes."""
+def judge_curve(values: NDArray[np.float64], sense: int) -> dict[str, Any]:
+    """Judge a curve: its means, how monotone it is, how far it moves, and whether it is met.
+
+    Args:
+        values: (weights, seeds).
+        sense: +1 if it should rise, -1 if it should fall.
+    """
     mean = values.mean(axis=1)
     spread = float(values[WEIGHTS.index(1.0)].std(ddof=1))
     order = sense * spearman(np.array(WEIGHTS), mean)
@@ -112,8 +122,12 @@ def judged(values: NDArray[np.float64], sense: int) -> dict[str, Any]:
     }
 
 
-def measured(pipe: MotionPipeline, curve: Curve, seeds: int, seconds: float) -> dict[str, Any]:
-    """One curve; a node that the parser does not find is an error."""
+def measure_curve(pipe: MotionPipeline, curve: Curve, seeds: int, seconds: float) -> dict[str, Any]:
+    """Measure and judge one curve.
+
+    Raises:
+        InvalidInputError: the parser finds no such node in the caption.
+    """
     graph: SemanticGraph = pipe.parse(curve.caption)
     values = [
         [
@@ -122,33 +136,31 @@ def measured(pipe: MotionPipeline, curve: Curve, seeds: int, seconds: float) -> 
         ]
         for weight in WEIGHTS
     ]
-    about = {"caption": curve.caption, "node": curve.node, "unit": curve.unit}
-    return {**about, **judged(np.array(values), curve.sense)}
+    description = {"caption": curve.caption, "node": curve.node, "unit": curve.unit}
+    return {**description, **judge_curve(np.array(values), curve.sense)}
 
 
-def table(results: dict[str, dict[str, Any]]) -> str:
-    """Markdown."""
+def markdown_table(results: dict[str, dict[str, Any]]) -> str:
+    """Format results as Markdown, one line for each curve."""
     heads = ["caption", "edge", *(f"w = {weight:g}" for weight in WEIGHTS), "unit", "Spearman", "moved / s.d.", "met"]
     lines = ["| " + " | ".join(heads) + " |", "|" + "---|" * len(heads)]
-    for one in results.values():
-        cells = [one["caption"], one["node"], *(f"{value:.2f}" for value in one["mean"]), one["unit"]]
-        cells += [f"{one['spearman']:.2f}", f"{one['moved']:.2f}", "yes" if one["met"] else "no"]
+    for curve in results.values():
+        cells = [curve["caption"], curve["node"], *(f"{value:.2f}" for value in curve["mean"]), curve["unit"]]
+        cells += [f"{curve['spearman']:.2f}", f"{curve['moved']:.2f}", "yes" if curve["met"] else "no"]
         lines.append("| " + " | ".join(cells) + " |")
-    met = sum(one["met"] for one in results.values())
+    met = sum(curve["met"] for curve in results.values())
     return "\n".join(lines) + f"\n\n{met} of {len(results)} curves met.\n"
 
 
 def main() -> None:
-    """Command line."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--bundle", type=Path, help="folder of a bundle; the default bundle without it")
-    parser.add_argument("--seeds", type=int, default=10)
-    parser.add_argument("--seconds", type=float, default=4.0)
-    parser.add_argument("--out", type=Path, required=True, help="JSON file; a .md file is written beside it")
-    given = parser.parse_args()
-    pipe = MotionPipeline.load(given.bundle)
-    results = {curve.name: measured(pipe, curve, given.seeds, given.seconds) for curve in CURVES}
-    write_report(given.out, results, table(results))
+    """Run the command line."""
+    parser = benchmark_parser(__doc__)
+    add_arguments(parser, "bundle", "out", seeds=10)
+    parser.add_argument("--seconds", type=float, default=4.0, help="length of the clips (4)")
+    options = parser.parse_args()
+    pipe = MotionPipeline.load(options.bundle)
+    results = {curve.name: measure_curve(pipe, curve, options.seeds, options.seconds) for curve in CURVES}
+    write_report(options.out, results, markdown_table(results))
 
 
 if __name__ == "__main__":

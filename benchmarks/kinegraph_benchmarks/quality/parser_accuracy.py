@@ -1,12 +1,13 @@
-"""How well sentences are parsed: against gold graphs, folds grouped by caption, and on harder sentences of our own.
+"""Measure how well sentences are parsed: against gold graphs by cross-validation, and on harder sentences of our own.
 
     python -m kinegraph_benchmarks.quality.parser_accuracy --gold graphs/kit_gold_dev.jsonl \
         --captions DATA/bandai/captions.jsonl \
         --out parser_accuracy.json
 
-The gold's own scorer (`score_graphs.py` beside it) does the counting. Captions that differ in case or punctuation only
-are in one fold. The harder sentences (`parser/`) are scored by weights trained on all of the gold; the half "dev" was
-looked at while the parser was made and is trained on besides for the half "held out", which was not.
+The gold's own scorer (`score_graphs.py` beside it) does the counting. Captions that differ only in case or punctuation
+are in one fold. The harder sentences (`benchmarks/parser`) are parsed with weights trained on all of the gold. Their
+half "dev" was looked at while the parser was developed; it joins the training set for the half "held out", which was
+not looked at.
 """
 
 from __future__ import annotations
@@ -27,6 +28,7 @@ import torch
 from kinegraph.bundle.reader import DEFAULT_BUNDLE
 from kinegraph.text.argument_classifier import pack_weights
 from kinegraph.text.parser import GraphParser
+from kinegraph_benchmarks.common.arguments import add_arguments, benchmark_parser
 from kinegraph_benchmarks.common.report_io import write_report
 from kinegraph_training.train_parser import (
     RULE_CAPTIONS,
@@ -48,7 +50,7 @@ SHOWN = {
 
 
 def read_scorer(path: Path) -> ModuleType:
-    """The gold's scorer as a module."""
+    """Import the gold's scorer, a file, as a module."""
     spec = importlib.util.spec_from_file_location("score_graphs", path)
     if spec is None or spec.loader is None:
         raise SystemExit(f"{path} is no Python file")
@@ -57,37 +59,37 @@ def read_scorer(path: Path) -> ModuleType:
     return module
 
 
-def folds_of(captions: Iterable[str], count: int, seed: int, scorer: ModuleType) -> dict[str, int]:
-    """Fold of each caption; those that are alike but for case and punctuation share one."""
+def assign_folds(captions: Iterable[str], count: int, seed: int, scorer: ModuleType) -> dict[str, int]:
+    """Assign a fold to each caption; captions that differ only in case or punctuation share one."""
     groups = sorted({scorer.normal(caption) for caption in captions})
     random.Random(seed).shuffle(groups)
-    place = {group: number % count for number, group in enumerate(groups)}
-    return {caption: place[scorer.normal(caption)] for caption in captions}
+    fold = {group: number % count for number, group in enumerate(groups)}
+    return {caption: fold[scorer.normal(caption)] for caption in captions}
 
 
-def parsed(parser: GraphParser, captions: Iterable[str], scorer: ModuleType) -> dict[str, Any]:
-    """Graphs as the scorer keeps them, by caption."""
-    found = {}
+def parse_captions(parser: GraphParser, captions: Iterable[str], scorer: ModuleType) -> dict[str, Any]:
+    """Parse captions into graphs in the scorer's own form, by caption."""
+    graphs = {}
     for caption in captions:
         name, graph, _ = scorer.read_graph(json.loads(parser.parse(caption).to_json()), caption)
-        found[name] = graph
-    return found
+        graphs[name] = graph
+    return graphs
 
 
-def cross_validated(
+def cross_validate(
     parts: list[Examples], rest: Examples, folds: dict[str, int], pipeline: bytes, scorer: ModuleType
 ) -> dict[str, Any]:
-    """Every caption parsed by weights that saw none of its fold."""
-    found: dict[str, Any] = {}
+    """Parse every caption with weights that saw none of its fold."""
+    graphs: dict[str, Any] = {}
     for fold in range(len(parts)):
-        seen = sum((part for number, part in enumerate(parts) if number != fold), rest)
-        parser = GraphParser(pipeline, pack_weights(*fit(seen), ""))
-        found |= parsed(parser, [caption for caption, own in folds.items() if own == fold], scorer)
-    return found
+        training = sum((part for number, part in enumerate(parts) if number != fold), rest)
+        parser = GraphParser(pipeline, pack_weights(*fit(training), ""))
+        graphs |= parse_captions(parser, [caption for caption, number in folds.items() if number == fold], scorer)
+    return graphs
 
 
-def milliseconds(parser: GraphParser, captions: list[str]) -> float:
-    """Median time of one caption, warm."""
+def time_parser(parser: GraphParser, captions: list[str]) -> float:
+    """Measure the median time of one caption, milliseconds, after a first run."""
     times = []
     for caption in captions:
         parser.parse(caption)
@@ -97,44 +99,45 @@ def milliseconds(parser: GraphParser, captions: list[str]) -> float:
     return sorted(times)[len(times) // 2] * 1e3
 
 
-def measured(options: argparse.Namespace, scorer: ModuleType) -> dict[str, Any]:
-    """All scores."""
+def measure_accuracy(options: argparse.Namespace, scorer: ModuleType) -> dict[str, Any]:
+    """Score the gold by cross-validation, then the harder sentences with weights trained on all of it."""
     pipeline = options.parser.read_bytes()
     rules = GraphParser(pipeline)
     graphs, gold = read_gold(options.gold), list(scorer.read_file(options.gold))
-    rest = rule_examples(rules, sample_captions(options.captions, RULE_CAPTIONS))
-    folds = folds_of([graph["caption"] for graph in graphs], options.folds, options.seed, scorer)
+    by_rules = rule_examples(rules, sample_captions(options.captions, RULE_CAPTIONS))
+    folds = assign_folds([graph["caption"] for graph in graphs], options.folds, options.seed, scorer)
     parts = [
         gold_examples(rules, [graph for graph in graphs if folds[graph["caption"]] == fold])
         for fold in range(options.folds)
     ]
-    learnt = cross_validated(parts, rest, folds, pipeline, scorer)
-    alone = parsed(rules, folds, scorer)
+    learnt = cross_validate(parts, by_rules, folds, pipeline, scorer)
+    rules_alone = parse_captions(rules, folds, scorer)
     scores = {
         "gold, all captions": scorer.score(gold, learnt),
         "gold, each caption once": scorer.score(gold, learnt, True),
-        "gold, each once, rules alone": scorer.score(gold, alone, True),
+        "gold, each once, rules alone": scorer.score(gold, rules_alone, True),
     }
-    everything = sum(parts, rest)
+    everything = sum(parts, by_rules)
     halves = {"hard sentences, dev": (HARD / "hard_sentences_dev.jsonl", everything)}
     if options.held_out:
         dev = gold_examples(rules, read_gold(HARD / "hard_sentences_dev.jsonl"))
         halves["hard sentences, held out"] = (HARD / "hard_sentences_held_out.jsonl", everything + dev)
-    for name, (path, seen) in halves.items():
-        own = list(scorer.read_file(path))
-        parser = GraphParser(pipeline, pack_weights(*fit(seen), ""))
-        scores[name] = scorer.score(own, parsed(parser, [caption for caption, _, _ in own], scorer))
-        scores[f"{name}, rules alone"] = scorer.score(own, parsed(rules, [caption for caption, _, _ in own], scorer))
+    for name, (path, training) in halves.items():
+        sentences = list(scorer.read_file(path))
+        parser = GraphParser(pipeline, pack_weights(*fit(training), ""))
+        captions = [caption for caption, _, _ in sentences]
+        scores[name] = scorer.score(sentences, parse_captions(parser, captions, scorer))
+        scores[f"{name}, rules alone"] = scorer.score(sentences, parse_captions(rules, captions, scorer))
     return {
         "folds": options.folds,
         "seed": options.seed,
-        "milliseconds_per_caption": milliseconds(parser, sorted(folds)),
+        "milliseconds_per_caption": time_parser(parser, sorted(folds)),
         "scores": scores,
     }
 
 
-def table(result: dict[str, Any]) -> str:
-    """Markdown: F1 of actions and arguments, and whole graphs."""
+def markdown_table(result: dict[str, Any]) -> str:
+    """Format a result as Markdown: F1 of actions and arguments, and whole graphs."""
     lines = [
         "| F1 | captions | " + " | ".join(SHOWN.values()) + " | whole graph |",
         "|---|" + "---|" * (len(SHOWN) + 2),
@@ -147,22 +150,22 @@ def table(result: dict[str, Any]) -> str:
 
 
 def main() -> int:
-    """Measure and write."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    """Run the command line."""
+    parser = benchmark_parser(__doc__)
     parser.add_argument("--gold", type=Path, required=True, help="gold graphs, JSON lines")
     parser.add_argument("--scorer", type=Path, help="score_graphs.py; the one beside the gold without it")
     parser.add_argument("--captions", type=Path, required=True, help="captions.jsonl of the motion")
     parser.add_argument("--parser", type=Path, default=DEFAULT_BUNDLE / "parser.bin", help="the spaCy pipeline")
-    parser.add_argument("--folds", type=int, default=5)
+    parser.add_argument("--folds", type=int, default=5, help="of the cross-validation (5)")
     parser.add_argument("--seed", type=int, default=0, help="of the folds")
     parser.add_argument(
-        "--held-out", action="store_true", help="the held-out half, too: for a last figure, not to tune"
+        "--held-out", action="store_true", help="also the held-out half: for a last figure, not to tune"
     )
-    parser.add_argument("--out", type=Path, required=True, help="JSON file; a .md file is written beside it")
+    add_arguments(parser, "out")
     options = parser.parse_args()
     torch.set_num_threads(1)
-    result = measured(options, read_scorer(options.scorer or options.gold.with_name("score_graphs.py")))
-    write_report(options.out, result, table(result))
+    result = measure_accuracy(options, read_scorer(options.scorer or options.gold.with_name("score_graphs.py")))
+    write_report(options.out, result, markdown_table(result))
     return 0
 
 

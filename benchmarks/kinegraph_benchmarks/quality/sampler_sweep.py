@@ -1,20 +1,19 @@
-"""Steps, spacing and guidance against quality, for one bundle: which settings its manifest should have.
+"""Measure quality against steps, spacing and guidance of one bundle, to choose the defaults of its manifest.
 
     python -m kinegraph_benchmarks.quality.sampler_sweep --data DATA/bandai --out sampling.json [--only guidance]
 
-Through the runtime, a setting at a time moved away from the bundle's own; takes are kept in --work. Speed is not
-measured here: cost is the number of steps. Writes JSON, and a Markdown table beside it.
+The runtime generates the clips, with one setting at a time moved away from the bundle's own; clips are kept in --work.
+Speed is not measured here, the cost is the number of steps. Writes JSON, and a Markdown table beside it.
 """
 
 from __future__ import annotations
 
-import argparse
-from pathlib import Path
 from typing import Any
 
+from kinegraph_benchmarks.common.arguments import add_arguments, benchmark_parser
 from kinegraph_benchmarks.common.report_io import write_json, write_report
 from kinegraph_benchmarks.common.sample_cache import BundleModel, GuidanceBase, Spacing
-from kinegraph_benchmarks.quality.evaluate import SPLITS, Plan, evaluate, ratio
+from kinegraph_benchmarks.quality.evaluate import SPLITS, Plan, evaluate, format_ratio
 
 STEPS = ((4, 4, 4), (6, 6, 8), (8, 8, 10), (10, 10, 10), (15, 15, 20), (20, 15, 15), (25, 25, 25), (50, 50, 50))
 GUIDANCE = (1.0, 1.5, 2.0, 2.5, 3.0, 4.0, 6.0)
@@ -24,28 +23,30 @@ COLUMNS = ("r_precision_1", "fid", "behaviour", "content", "style", "foot_skate"
 
 
 def settings() -> dict[str, tuple[dict[str, Any], dict[str, Any]]]:
-    """Name -> changes to the bundle (arguments of `BundleModel`), options of `generate`."""
-    found: dict[str, tuple[dict[str, Any], dict[str, Any]]] = {"as shipped": ({}, {})}
+    """List the settings by name: changes to the bundle (arguments of `BundleModel`), and options of `generate`."""
+    variants: dict[str, tuple[dict[str, Any], dict[str, Any]]] = {"as shipped": ({}, {})}
     for counts in STEPS:
         for spacing in SPACINGS:
             name = "/".join(map(str, counts))
-            found[f"steps {name}, {spacing}"] = ({"spacing": spacing}, {"steps": counts})
+            variants[f"steps {name}, {spacing}"] = ({"spacing": spacing}, {"steps": counts})
     for scale in GUIDANCE:
         for base in BASES:
-            found[f"guidance {scale:g}, away from {base}"] = ({"base": base}, {"guidance": scale})
-    return found
+            variants[f"guidance {scale:g}, away from {base}"] = ({"base": base}, {"guidance": scale})
+    return variants
 
 
-def table(results: dict[str, dict[str, Any]]) -> str:
-    """Markdown: ratio to captured motion under the same evaluator; FID as it is."""
+def markdown_table(results: dict[str, dict[str, Any]]) -> str:
+    """Format results as Markdown: ratios to captured motion under the same evaluator; FID as it is."""
     lines = ["Ratios to captured motion; FID as it is.", ""]
     for split in SPLITS:
         lines += [f"**{split}**", "", "| | " + " | ".join(COLUMNS) + " |", "|---|" + "---|" * len(COLUMNS)]
         for name, result in results.items():
-            made, real = (result["splits"][split][part] for part in ("generated", "captured"))
+            generated, captured = (result["splits"][split][part] for part in ("generated", "captured"))
             cells = [
-                f"{made['mean'][c]['mean']:.3f}" if c == "fid" else ratio(made["mean"][c]["mean"], real[c]["mean"])
-                for c in COLUMNS
+                f"{generated['mean'][column]['mean']:.3f}"
+                if column == "fid"
+                else format_ratio(generated["mean"][column]["mean"], captured[column]["mean"])
+                for column in COLUMNS
             ]
             lines.append(f"| {name} | " + " | ".join(cells) + " |")
         lines.append("")
@@ -53,23 +54,19 @@ def table(results: dict[str, dict[str, Any]]) -> str:
 
 
 def main() -> None:
-    """Command line."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--data", type=Path, required=True, help="folder of the captured motion (bandai)")
-    parser.add_argument("--bundle", type=Path, help="folder of a bundle; the default bundle without it")
-    parser.add_argument("--work", type=Path, default=Path("evaluation"), help="folder for generated clips")
-    parser.add_argument("--repeats", type=int, default=1)
-    parser.add_argument("--only", default="", help="settings whose name begins so")
-    parser.add_argument("--out", type=Path, required=True, help="JSON file; a .md file is written beside it")
-    given = parser.parse_args()
+    """Run the command line."""
+    parser = benchmark_parser(__doc__)
+    add_arguments(parser, "data", "bundle", "work", "out", repeats=1)
+    parser.add_argument("--only", default="", help="only settings whose name begins with this")
+    options = parser.parse_args()
     results = {}
-    for name, (changes, options) in settings().items():
-        if not name.startswith(given.only):
+    for name, (changes, sampling) in settings().items():
+        if not name.startswith(options.only):
             continue
-        plan = Plan(given.bundle, None, given.data, given.work, None, given.repeats, options)
-        results[name] = evaluate(plan, BundleModel(given.bundle, **changes))
-        write_json(given.out, results)
-    write_report(given.out, results, table(results))
+        plan = Plan(options.bundle, None, options.data, options.work, None, options.repeats, sampling)
+        results[name] = evaluate(plan, BundleModel(options.bundle, **changes))
+        write_json(options.out, results)
+    write_report(options.out, results, markdown_table(results))
 
 
 if __name__ == "__main__":

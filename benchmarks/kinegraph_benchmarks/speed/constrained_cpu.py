@@ -1,13 +1,12 @@
-"""Life on little: `kinegraph bench` on one core, and on a quarter of one where cgroups allow it.
+"""Run `kinegraph bench` on one core, and on a quarter of one where cgroups allow it.
 
     python -m kinegraph_benchmarks.speed.constrained_cpu --out low_power.json [--quick]
 
-The quota needs the right to make a control group. Linux only.
+The quota needs the permission to make a control group. Linux only.
 """
 
 from __future__ import annotations
 
-import argparse
 import json
 import os
 import subprocess
@@ -21,21 +20,22 @@ from typing import Any
 import numpy as np
 
 from kinegraph.bench import machine
+from kinegraph_benchmarks.common.arguments import add_arguments, benchmark_parser
 from kinegraph_benchmarks.common.report_io import write_report
 
 CGROUPS = Path("/sys/fs/cgroup")
 PERIOD = 100_000
-"""Microseconds, the kernel's own; a quarter of it may be used."""
+"""Scheduling period, microseconds (the kernel's default), of which a quarter may be used."""
 
 
 @contextmanager
-def quarter_core() -> Iterator[Path | None]:
-    """A group whose processes get a quarter of a core; None where none can be made."""
-    newer = (CGROUPS / "cgroup.controllers").is_file()
-    group = (CGROUPS if newer else CGROUPS / "cpu") / f"kinegraph_bench_{os.getpid()}"
+def quarter_core_group() -> Iterator[Path | None]:
+    """Make a control group whose processes get a quarter of a core; yields None where that is not allowed."""
+    version_2 = (CGROUPS / "cgroup.controllers").is_file()
+    group = (CGROUPS if version_2 else CGROUPS / "cpu") / f"kinegraph_bench_{os.getpid()}"
     try:
         group.mkdir()
-        if newer:
+        if version_2:
             (group / "cpu.max").write_text(f"{PERIOD // 4} {PERIOD}")
         else:
             (group / "cpu.cfs_period_us").write_text(str(PERIOD))
@@ -52,26 +52,26 @@ def quarter_core() -> Iterator[Path | None]:
         group.rmdir()
 
 
-def benched(bundle: Path | None, repeats: int, group: Path | None) -> dict[str, Any]:
-    """`kinegraph bench` on one core; as a member of a group, if there is one."""
+def bench_on_one_core(bundle: Path | None, repeats: int, group: Path | None) -> dict[str, Any]:
+    """Run `kinegraph bench` on one core, as a member of a control group if there is one, and read its report."""
     core = min(os.sched_getaffinity(0))
 
-    def confined() -> None:
+    def confine() -> None:
         os.sched_setaffinity(0, {core})
         if group is not None:
             (group / "cgroup.procs").write_text(str(os.getpid()))
 
     with tempfile.TemporaryDirectory() as folder:
         out = Path(folder) / "bench.json"
-        more = [] if bundle is None else ["--bundle", str(bundle)]
-        words = [sys.executable, "-m", "kinegraph", "bench", "--repeats", str(repeats), "--json", str(out), *more]
-        subprocess.run(words, check=True, stdout=subprocess.DEVNULL, preexec_fn=confined)
-        found: dict[str, Any] = json.loads(out.read_text(encoding="utf-8"))
-    return found
+        bundle_option = [] if bundle is None else ["--bundle", str(bundle)]
+        command = [sys.executable, "-m", "kinegraph", "bench", "--repeats", str(repeats), "--json", str(out)]
+        subprocess.run([*command, *bundle_option], check=True, stdout=subprocess.DEVNULL, preexec_fn=confine)
+        report: dict[str, Any] = json.loads(out.read_text(encoding="utf-8"))
+    return report
 
 
-def table(result: dict[str, Any]) -> str:
-    """Markdown."""
+def markdown_table(result: dict[str, Any]) -> str:
+    """Format a result as Markdown."""
     lines = [f"{result['machine']['cpu']}.", "", "| ms | sentence to file, median (minimum) | first file, graph |"]
     lines.append("|---|---|---|")
     for name, report in result["reports"].items():
@@ -84,19 +84,16 @@ def table(result: dict[str, Any]) -> str:
 
 
 def main() -> None:
-    """Command line."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--bundle", type=Path, help="folder of a bundle; the default bundle without it")
-    parser.add_argument("--repeats", type=int, default=20)
-    parser.add_argument("--quick", action="store_true", help="two repeats: does it run?")
-    parser.add_argument("--out", type=Path, required=True, help="JSON file; a .md file is written beside it")
-    given = parser.parse_args()
-    repeats = 2 if given.quick else given.repeats
-    reports = {"one core": benched(given.bundle, repeats, None)}
-    with quarter_core() as group:
-        reports["a quarter of a core"] = None if group is None else benched(given.bundle, repeats, group)
-    result = {"machine": machine(), "quick": given.quick, "reports": reports}
-    write_report(given.out, result, table(result))
+    """Run the command line."""
+    parser = benchmark_parser(__doc__)
+    add_arguments(parser, "bundle", "out", repeats=20, quick="two repeats")
+    options = parser.parse_args()
+    repeats = 2 if options.quick else options.repeats
+    reports = {"one core": bench_on_one_core(options.bundle, repeats, None)}
+    with quarter_core_group() as group:
+        reports["a quarter of a core"] = None if group is None else bench_on_one_core(options.bundle, repeats, group)
+    result = {"machine": machine(), "quick": options.quick, "reports": reports}
+    write_report(options.out, result, markdown_table(result))
 
 
 if __name__ == "__main__":

@@ -1,18 +1,17 @@
-"""The same clips on another kind of CPU: how far apart are their joints?
+"""Measure how far joints differ when another kind of CPU generates the same clips.
 
-    python -m kinegraph_benchmarks.speed.cross_platform --bundle FP32 \
-        --save clips.npz                      on one machine
-    python -m kinegraph_benchmarks.speed.cross_platform --bundle FP32 --against clips.npz --out cpu.json    on the other
+    python -m kinegraph_benchmarks.speed.cross_platform --bundle FP32 --save clips.npz       (on one machine)
+    python -m kinegraph_benchmarks.speed.cross_platform --bundle FP32 --against clips.npz \
+        --out other_cpu.json                                                                (on the other)
 
-From graphs, so without spaCy: numpy, onnxruntime and tokenizers are enough on the other machine, which may be an
-emulated one (qemu-user 10 runs the aarch64 wheels in five minutes; 7.2 does not). The text encoder rounds to int8 in
-every bundle, and processors do that differently; so clips are also made from the text as the first machine encoded it,
-and these agree to a thousandth of a millimetre in an fp32 bundle.
+Clips are generated from graphs, so without spaCy: numpy, onnxruntime and tokenizers are enough on the other machine,
+which may be an emulated one (qemu-user 10 runs the aarch64 wheels in five minutes; 7.2 does not). The text encoder
+rounds to int8 in every bundle, and processors do that differently. So clips are also generated from the text as the
+first machine encoded it, and these agree to a thousandth of a millimetre in an fp32 bundle.
 """
 
 from __future__ import annotations
 
-import argparse
 import platform
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -23,103 +22,113 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinegraph import Concept, MotionPipeline
+from kinegraph.arrays import FloatArray
 from kinegraph.bench import GRAPH, machine
 from kinegraph.edits import with_weight
+from kinegraph_benchmarks.common.arguments import add_arguments, benchmark_parser
 from kinegraph_benchmarks.common.report_io import write_report
 
 SECONDS, SEED = 2.0, 5
-PARTS = ("hidden", "pooled")
-"""Of what the text encoder says."""
+TEXT_OUTPUTS = ("hidden", "pooled")
+"""Outputs of the text encoder."""
 Feeds = Mapping[str, NDArray[Any]]
+EncodedCaptions = dict[str, list[FloatArray]]
+"""Token ids of a caption -> hidden states and sentence vector."""
 
 
 @dataclass(frozen=True)
-class KeptText:
-    """In place of the text encoder's session: remembers what it said, and says again what is known."""
+class CachedTextEncoder:
+    """Stand-in for the text encoder's session that runs it only for captions that are not cached."""
 
-    inner: Any
-    known: dict[str, list[NDArray[np.float32]]]
-    """Token ids of a caption -> hidden states and sentence."""
+    session: Any
+    cache: EncodedCaptions
 
-    def run(self, names: Sequence[str], feeds: Feeds) -> list[NDArray[np.float32]]:
+    def run(self, names: Sequence[str], feeds: Feeds) -> list[FloatArray]:
+        """Look up one caption's outputs, or encode it."""
         ids = " ".join(map(str, feeds["input_ids"][0]))
-        if ids not in self.known:
-            self.known[ids] = self.inner.run(names, feeds)
-        return self.known[ids]
+        if ids not in self.cache:
+            self.cache[ids] = self.session.run(names, feeds)
+        return self.cache[ids]
 
 
-def with_kept_text(pipe: MotionPipeline, known: dict[str, list[NDArray[np.float32]]]) -> MotionPipeline:
-    """Cache encoder outputs: captions in `known` are not encoded, and those that are come into it."""
+def cache_text_encoder(pipe: MotionPipeline, cache: EncodedCaptions) -> MotionPipeline:
+    """Make a pipeline that takes encoded captions from `cache`, and adds to it those that it has to encode."""
     sessions = pipe.encoder.sessions
-    return pipe.with_sessions(replace(sessions, text_encoder=KeptText(sessions.text_encoder, known)))
+    return pipe.with_sessions(replace(sessions, text_encoder=CachedTextEncoder(sessions.text_encoder, cache)))
 
 
-def made(pipe: MotionPipeline) -> dict[str, Any]:
-    """Kind of call -> joints (frames, 22, 3)."""
-    given: dict[str, Any] = {"seconds": SECONDS, "seed": SEED}
+def generate_clips(pipe: MotionPipeline) -> dict[str, Any]:
+    """Generate a clip with each kind of call; joints (frames, 22, 3) by kind."""
+    length: dict[str, Any] = {"seconds": SECONDS, "seed": SEED}
     weighted = with_weight(GRAPH, GRAPH.nodes[-1].text, 0.5)
     clips = {
-        "generate": pipe.generate(GRAPH, **given),
-        "without the foot fix": pipe.generate(GRAPH, foot_fix=False, **given),
-        "a weighted edge": pipe.generate(weighted, **given),
-        "compose": pipe.compose([Concept(GRAPH), Concept(weighted, -0.5)], text=GRAPH, **given),
-        "a batch": pipe.batch([GRAPH, GRAPH], **given)[1],
+        "generate": pipe.generate(GRAPH, **length),
+        "without the foot fix": pipe.generate(GRAPH, foot_fix=False, **length),
+        "a weighted edge": pipe.generate(weighted, **length),
+        "compose": pipe.compose([Concept(GRAPH), Concept(weighted, -0.5)], text=GRAPH, **length),
+        "a batch": pipe.batch([GRAPH, GRAPH], **length)[1],
     }
     return {name: clip.joints for name, clip in clips.items()}
 
 
-def saved(pipe: MotionPipeline) -> dict[str, Any]:
-    """Clips by kind of call, and what the text encoder said of their captions."""
-    known: dict[str, list[NDArray[np.float32]]] = {}
-    pipe = with_kept_text(pipe, known)
-    clips = made(pipe)
-    return clips | {f"{part} {ids}": said[k] for ids, said in known.items() for k, part in enumerate(PARTS)}
-
-
-def compared(pipe: MotionPipeline, theirs: Mapping[str, NDArray[Any]]) -> dict[str, dict[str, dict[str, float]]]:
-    """How far joints are apart, mm: whose text -> kind of call -> mean and max."""
-    found = {"own text": made(pipe)}
-    captions = {name.split(" ", 1)[1] for name in theirs if name.startswith(PARTS[0] + " ")}
-    pipe = with_kept_text(pipe, {ids: [theirs[f"{part} {ids}"] for part in PARTS] for ids in captions})
-    found["the other machine's text"] = made(pipe)
-    return {
-        whose: {name: distance(joints, theirs[name]) for name, joints in own.items()} for whose, own in found.items()
+def clips_and_encoded_text(pipe: MotionPipeline) -> dict[str, Any]:
+    """Generate clips by kind of call, with the text encoder's outputs for their captions: arrays of the saved file."""
+    cache: EncodedCaptions = {}
+    clips = generate_clips(cache_text_encoder(pipe, cache))
+    return clips | {
+        f"{name} {ids}": outputs[index] for ids, outputs in cache.items() for index, name in enumerate(TEXT_OUTPUTS)
     }
 
 
-def distance(joints: NDArray[np.float32], others: NDArray[np.float32]) -> dict[str, float]:
-    """Of joints, mm."""
-    far = 1000.0 * np.linalg.norm(joints - others, axis=-1)
-    return {"mean": float(far.mean()), "max": float(far.max())}
+def compare_clips(pipe: MotionPipeline, theirs: Mapping[str, NDArray[Any]]) -> dict[str, dict[str, dict[str, float]]]:
+    """Measure how far joints are apart, mm: whose text -> kind of call -> mean and max.
+
+    Args:
+        pipe: the bundle on this machine.
+        theirs: the other machine's file (`clips_and_encoded_text`).
+    """
+    ours = {"own text": generate_clips(pipe)}
+    captions = {name.split(" ", 1)[1] for name in theirs if name.startswith(TEXT_OUTPUTS[0] + " ")}
+    cache = {ids: [theirs[f"{name} {ids}"] for name in TEXT_OUTPUTS] for ids in captions}
+    ours["the other machine's text"] = generate_clips(cache_text_encoder(pipe, cache))
+    return {
+        text: {kind: joint_distance(joints, theirs[kind]) for kind, joints in clips.items()}
+        for text, clips in ours.items()
+    }
 
 
-def table(kinds: str, apart: dict[str, dict[str, dict[str, float]]]) -> str:
-    """Markdown."""
+def joint_distance(joints: FloatArray, others: FloatArray) -> dict[str, float]:
+    """Measure mean and maximum distance of joints (frames, 22, 3), mm."""
+    distance = 1000.0 * np.linalg.norm(joints - others, axis=-1)
+    return {"mean": float(distance.mean()), "max": float(distance.max())}
+
+
+def markdown_table(kinds: str, apart: dict[str, dict[str, dict[str, float]]]) -> str:
+    """Format distances as Markdown."""
     lines = [f"{kinds}; joints apart, mm, mean (max).", "", "| | " + " | ".join(apart) + " |", "|---|---|---|"]
     for name in next(iter(apart.values())):
-        cells = [f"{own[name]['mean']:.4f} ({own[name]['max']:.4f})" for own in apart.values()]
+        cells = [f"{clips[name]['mean']:.4f} ({clips[name]['max']:.4f})" for clips in apart.values()]
         lines.append(f"| {name} | {cells[0]} | {cells[1]} |")
     return "\n".join(lines) + "\n"
 
 
 def main() -> None:
-    """Command line."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--bundle", type=Path, help="folder of a bundle; the default bundle without it")
-    parser.add_argument("--save", type=Path, help="keep the clips here")
-    parser.add_argument("--against", type=Path, help="clips that another machine kept")
-    parser.add_argument("--out", type=Path, help="JSON file of the comparison; a .md file is written beside it")
-    given = parser.parse_args()
-    if (given.save is None) == (given.against is None) or (given.against is None) != (given.out is None):
+    """Run the command line."""
+    parser = benchmark_parser(__doc__)
+    add_arguments(parser, "bundle", "out", optional=("out",))
+    parser.add_argument("--save", type=Path, help="write the clips to this file")
+    parser.add_argument("--against", type=Path, help="compare with the clips that another machine wrote")
+    options = parser.parse_args()
+    if (options.save is None) == (options.against is None) or (options.against is None) != (options.out is None):
         parser.error("give either --save, or --against and --out")
-    pipe = MotionPipeline.load(given.bundle, threads=1)
-    if given.save is not None:
-        np.savez(given.save, kind=platform.machine(), **saved(pipe))
+    pipe = MotionPipeline.load(options.bundle, threads=1)
+    if options.save is not None:
+        np.savez(options.save, kind=platform.machine(), **clips_and_encoded_text(pipe))
         return
-    theirs = np.load(given.against)
-    apart = compared(pipe, theirs)
+    theirs = np.load(options.against)
+    apart = compare_clips(pipe, theirs)
     kinds = f"{platform.machine()} against {theirs['kind']}, {pipe.manifest.precision}"
-    write_report(given.out, {"machine": machine(), "kinds": kinds, "apart_mm": apart}, table(kinds, apart))
+    write_report(options.out, {"machine": machine(), "kinds": kinds, "apart_mm": apart}, markdown_table(kinds, apart))
 
 
 if __name__ == "__main__":

@@ -1,5 +1,6 @@
-"""The same task at the published size, with random weights: GraphMotion's denoisers as published (`concat`), ours
-(`cross`), in torch and as ONNX. For latency only: nothing here has learnt anything.
+"""Build GraphMotion's denoisers as published (`concat`) and ours (`cross`) at the published size, with the same task.
+
+Both exist in torch and as ONNX. Their weights are random: they are for latency only.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ import onnxruntime
 import torch
 from torch import Tensor, nn
 
+from kinegraph.arrays import FloatArray
 from kinegraph.bundle.contract import LEVELS, NODE_KINDS, NULL_KIND, GraphContract, LevelSpec
 from kinegraph.bundle.manifest import Manifest
 from kinegraph.bundle.reader import read_bundle
@@ -32,35 +34,44 @@ from kinegraph_training.models.denoiser import LatentShape
 from kinegraph_training.models.hierarchy import Hierarchy
 
 GUIDANCE_ROWS = 2
+"""Unconditional and conditional."""
 FRAMES_PER_TOKEN = 4
-FloatArray = np.ndarray
-Run = Callable[[dict[str, FloatArray]], FloatArray]
-"""One call of a published level: its inputs by name -> noise (2, C, z)."""
+LevelRun = Callable[[dict[str, FloatArray]], FloatArray]
+"""One call of a published level: inputs by name -> predicted noise (2, C, z)."""
 
 
 @dataclass(frozen=True)
-class Task:
-    """What all arms do: one sample, with guidance, at the bundle's default steps."""
+class SamplingTask:
+    """The task of all arms: one sample, with guidance."""
 
     manifest: Manifest
     options: GenerateOptions
-    encoded: Conditions
-    """(1, N) nodes with random features."""
+    conditions: Conditions
+    """(copies, N) nodes with random features."""
 
     @property
     def plans(self) -> list[LevelPlan]:
-        """Levels of the paper."""
+        """Levels of the paper with the steps of the options."""
         steps = self.options.steps
-        return [LevelPlan(n, s.tokens, s.latent_width, steps[n]) for n, s in self.manifest.levels.items()]
+        return [
+            LevelPlan(name, level.tokens, level.latent_width, steps[name])
+            for name, level in self.manifest.levels.items()
+        ]
 
     @property
     def contracts(self) -> dict[str, GraphContract]:
-        """Of our graphs."""
+        """Contracts of our graphs, by name."""
         return self.manifest.contracts
 
 
-def paper_task(graph: SemanticGraph, options: GenerateOptions, copies: int = 1) -> Task:
-    """The default bundle's manifest with the paper's sizes."""
+def paper_task(graph: SemanticGraph, options: GenerateOptions, copies: int = 1) -> SamplingTask:
+    """Make a task with the default bundle's manifest at the paper's sizes.
+
+    Args:
+        graph: gives the number and the kinds of nodes.
+        options: frames, steps and guidance.
+        copies: graphs of the task, as many as a composition has concepts and texts.
+    """
     preset = read_preset("paper")
     config = preset.denoiser
     shapes = latent_shapes()
@@ -74,17 +85,19 @@ def paper_task(graph: SemanticGraph, options: GenerateOptions, copies: int = 1) 
     width = config.text_width
     arrays = SimpleNamespace(kind=kind, order=order, path_weight=path)
     nodes = np.random.default_rng(0).standard_normal((copies, len(kind), width)).astype(np.float32)
-    return Task(replace(read_bundle(None).manifest, levels=levels), options, make_conditions([arrays] * copies, nodes))
+    return SamplingTask(
+        replace(read_bundle(None).manifest, levels=levels), options, make_conditions([arrays] * copies, nodes)
+    )
 
 
 def latent_shapes() -> dict[str, LatentShape]:
-    """Of the preset `paper`."""
+    """Read the latent shapes of preset `paper`."""
     vaes = read_preset("paper").vae
     return {level: LatentShape(vaes[level].tokens, vaes[level].latent_width) for level in LEVELS}
 
 
-def hierarchy(kind: str) -> Hierarchy:
-    """Random weights as a bundle would hold them, evaluation mode."""
+def random_hierarchy(kind: str) -> Hierarchy:
+    """Make denoisers with random weights, rounded as a bundle would hold them, in evaluation mode."""
     torch.manual_seed(0)
     model = Hierarchy(replace(read_preset("paper").denoiser, kind=kind), latent_shapes()).eval()
     round_weights(model)
@@ -92,7 +105,7 @@ def hierarchy(kind: str) -> Hierarchy:
 
 
 class WholeLevel(nn.Module):
-    """One level as it is published: conditions, time and noise prediction in every call."""
+    """One level as it is published: every call encodes conditions and time and predicts noise."""
 
     def __init__(self, denoiser: nn.Module) -> None:
         super().__init__()
@@ -113,59 +126,60 @@ class WholeLevel(nn.Module):
         return self.denoiser.step(latent, self.denoiser.clock(timestep, frames), context, bias[:, None, None, :])
 
 
-def level_inputs(task: Task, level: str, coarse: FloatArray | None) -> dict[str, FloatArray]:
-    """Both rows of guidance, the unconditional one first; all that is constant over the steps."""
-    seen = task.encoded
-    kind = np.concatenate([np.full_like(seen.kind, NULL_KIND), seen.kind])
-    bias = np.concatenate([np.full_like(seen.bias, -1e4), seen.bias])
+def level_inputs(task: SamplingTask, level: str, coarse: FloatArray | None) -> dict[str, FloatArray]:
+    """Make the inputs of a level that are constant over its steps: rows of guidance, the unconditional one first."""
+    conditions = task.conditions
+    kind = np.concatenate([np.full_like(conditions.kind, NULL_KIND), conditions.kind])
+    bias = np.concatenate([np.full_like(conditions.bias, -1e4), conditions.bias])
     bias[0, 0] = 0.0
-    found = {
+    inputs = {
         "frames": np.full(GUIDANCE_ROWS, task.options.frames, dtype=np.int64),
-        "nodes": np.concatenate([np.zeros_like(seen.nodes), seen.nodes]),
+        "nodes": np.concatenate([np.zeros_like(conditions.nodes), conditions.nodes]),
         "kind": kind,
-        "order": np.concatenate([np.zeros_like(seen.order), seen.order]),
+        "order": np.concatenate([np.zeros_like(conditions.order), conditions.order]),
         "bias": bias,
     }
     if coarse is not None:
-        found["coarse"] = np.concatenate([coarse, coarse])
+        inputs["coarse"] = np.concatenate([coarse, coarse])
         extra = np.zeros((GUIDANCE_ROWS, coarse.shape[1]), dtype=np.float32)
-        found["bias"] = np.concatenate([bias, extra], axis=1)
-    return found
+        inputs["bias"] = np.concatenate([bias, extra], axis=1)
+    return inputs
 
 
-def sample(task: Task, levels: dict[str, Run]) -> FloatArray:
-    """The published loop around whole levels; both rows in one call."""
+def sample(task: SamplingTask, levels: dict[str, LevelRun]) -> FloatArray:
+    """Sample with the published loop around whole levels, both rows of guidance in one call; final latents."""
     noises = initial_noise(0, task.plans)
     coarse: FloatArray | None = None
     for plan, noise in zip(task.plans, noises, strict=True):
         times = ddim_coefficients(task.manifest.schedule.noise, plan.steps)
         constant, latent = level_inputs(task, plan.name, coarse), noise[None]
         for step, time in enumerate(times.timesteps):
-            twice = np.concatenate([latent, latent])
-            both = levels[plan.name](
-                {"latent": twice, "timestep": np.full(GUIDANCE_ROWS, time, dtype=np.int64), **constant}
+            rows = np.concatenate([latent, latent])
+            noise_pred = levels[plan.name](
+                {"latent": rows, "timestep": np.full(GUIDANCE_ROWS, time, dtype=np.int64), **constant}
             )
-            latent = ddim_step(latent, guide(both[:1], both[1:], task.options.guidance[plan.name]), times, step)
+            noise_pred = guide(noise_pred[:1], noise_pred[1:], task.options.guidance[plan.name])
+            latent = ddim_step(latent, noise_pred, times, step)
         coarse = latent
     assert coarse is not None
     return coarse
 
 
-def in_torch(model: Hierarchy) -> dict[str, Run]:
-    """Eager."""
+def torch_levels(model: Hierarchy) -> dict[str, LevelRun]:
+    """Wrap the levels of a model in eager torch."""
 
     def run(level: nn.Module, inputs: dict[str, FloatArray]) -> FloatArray:
         with torch.inference_mode():
-            found: FloatArray = level(**{name: torch.from_numpy(value) for name, value in inputs.items()}).numpy()
-        return found
+            noise: FloatArray = level(**{name: torch.from_numpy(value) for name, value in inputs.items()}).numpy()
+        return noise
 
     levels = {name: WholeLevel(part) for name, part in model.levels.items()}
     return {name: partial(run, level) for name, level in levels.items()}
 
 
-def plainly_exported(model: Hierarchy, task: Task, threads: int) -> dict[str, Run]:
-    """`torch.onnx.export` of whole levels, as anybody would do it."""
-    found: dict[str, Run] = {}
+def plain_onnx_levels(model: Hierarchy, task: SamplingTask, threads: int) -> dict[str, LevelRun]:
+    """Export whole levels with `torch.onnx.export` alone, and wrap their sessions."""
+    runs: dict[str, LevelRun] = {}
     coarse: FloatArray | None = None
     for plan in task.plans:
         inputs = level_inputs(task, plan.name, coarse)
@@ -176,25 +190,25 @@ def plainly_exported(model: Hierarchy, task: Task, threads: int) -> dict[str, Ru
         example = tuple(torch.from_numpy(feeds[name]) for name in order)
         graph = to_onnx(WholeLevel(model.levels[plan.name]), example, order, ["noise"], tuple({} for _ in order))
         session = onnxruntime.InferenceSession(serialised(graph), session_options(threads))
-        found[plan.name] = lambda inputs, session=session: session.run(["noise"], inputs)[0]
+        runs[plan.name] = lambda inputs, session=session: session.run(["noise"], inputs)[0]
         coarse = latent[:1]
-    return found
+    return runs
 
 
-def exported(model: Hierarchy, task: Task, precision: Precision) -> dict[str, bytes]:
-    """Our graphs by name."""
-    found: dict[str, bytes] = {}
+def export_graphs(model: Hierarchy, task: SamplingTask, precision: Precision) -> dict[str, bytes]:
+    """Export our graphs of all levels, by name."""
+    graphs: dict[str, bytes] = {}
     for level, denoiser in model.levels.items():
         context = MotionContextGraph if level == LEVELS[0] else ContextGraph
         modules = {"context": context(denoiser.context), "clock": ModulationGraph(denoiser.clock)}
         for part, module in {**modules, "step": DenoiserGraph(denoiser.step)}.items():
             name = f"{part}_{level}"
-            found[name], _ = export_graph(module.eval(), task.contracts[name], FRAMES_PER_TOKEN, precision)
-    return found
+            graphs[name], _ = export_graph(module.eval(), task.contracts[name], FRAMES_PER_TOKEN, precision)
+    return graphs
 
 
-def ours(graphs: dict[str, bytes], task: Task, threads: int) -> LatentSampler:
-    """The runtime's own sampler around exported graphs."""
+def make_sampler(graphs: dict[str, bytes], task: SamplingTask, threads: int) -> LatentSampler:
+    """Make the runtime's own sampler around exported graphs."""
     sessions: dict[str, dict[str, Any]] = {"context": {}, "clock": {}, "step": {}}
     for name, data in graphs.items():
         part, _, level = name.partition("_")

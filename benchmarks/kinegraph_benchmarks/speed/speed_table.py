@@ -1,15 +1,14 @@
-"""The speed table of the README from what the benchmarks wrote.
+"""Make one speed table from the results of the speed benchmarks, with a column for each machine.
 
-    python -m kinegraph_benchmarks.speed.speed_table --results benchmarks/results [ANOTHER_MACHINE ...]
+    python -m kinegraph_benchmarks.speed.speed_table --results benchmarks/results/0.6.0/zen3 [ANOTHER_MACHINE ...]
 
 Reads bench.json (of `kinegraph bench`), latency.json, scaling.json, neighbours.json, low_power.json and precision.json
-of each folder, one column a folder; what is missing is left out. Ratios are of minima of one process, arms taking
-turns. Refuses quick runs.
+of each folder; what is missing is left out. Ratios are those of minima. Results of quick runs are refused. Writes
+speed.md into the first folder.
 """
 
 from __future__ import annotations
 
-import argparse
 import json
 import sys
 from collections.abc import Callable, Sequence
@@ -18,24 +17,26 @@ from typing import Any
 
 import numpy as np
 
+from kinegraph_benchmarks.common.arguments import benchmark_parser
 from kinegraph_benchmarks.speed.latency import PLAIN, PUBLISHED
 from kinegraph_benchmarks.speed.scaling import throughput
 
 Row = tuple[str, str]
+"""Name and formatted value."""
 
 
-def bench_rows(found: dict[str, Any]) -> list[Row]:
-    """Of `kinegraph bench`."""
-    stages = found["stages"]
+def bench_rows(result: dict[str, Any]) -> list[Row]:
+    """Format the result of `kinegraph bench`."""
+    stages = result["stages"]
     to_joints = np.array(stages["total"]) - np.array(stages["write"])
     rows = [
         (
-            f"sentence to joints, a clip of {found['seconds']:g} s, parse included",
+            f"sentence to joints, a clip of {result['seconds']:g} s, parse included",
             f"{np.median(to_joints):.0f} ms (least {to_joints.min():.0f})",
         ),
-        ("CPU while nothing is asked for", f"{found['idle_cpu']:.1%}"),
+        ("CPU while nothing is asked for", f"{result['idle_cpu']:.1%}"),
     ]
-    for kind, start in found["cold"].items():
+    for kind, start in result["cold"].items():
         memory = "" if start["peak_bytes"] is None else f", peak memory {start['peak_bytes'] / 1e6:.0f} MB"
         rows.append(
             (f"start of a process to its first file, from a {kind}", f"{min(start['milliseconds']):.0f} ms{memory}")
@@ -43,9 +44,9 @@ def bench_rows(found: dict[str, Any]) -> list[Row]:
     return rows
 
 
-def latency_rows(found: dict[str, Any]) -> list[Row]:
-    """Of `latency.py`."""
-    times = {name: min(values) for name, values in found["latency_ms"].items()}
+def latency_rows(result: dict[str, Any]) -> list[Row]:
+    """Format the result of `latency`."""
+    times = {name: min(values) for name, values in result["latency_ms"].items()}
     best = min(value for name, value in times.items() if name.startswith("ours, int8"))
     rows = [
         ("published size: eager torch of GraphMotion as published, against ours", f"{times[PUBLISHED] / best:.1f} x"),
@@ -55,7 +56,7 @@ def latency_rows(found: dict[str, Any]) -> list[Row]:
             f"{times['ours, eager torch'] / best:.1f} x",
         ),
     ]
-    fused = {name: min(values) for name, values in found["composition_ms"].items()}
+    fused = {name: min(values) for name, values in result["composition_ms"].items()}
     rows += [
         (f"published size: three concepts fused, against one{name.removeprefix('plain')}",
          f"{fused['three concepts' + name.removeprefix('plain')] / value:.2f} x")
@@ -64,9 +65,9 @@ def latency_rows(found: dict[str, Any]) -> list[Row]:
     return rows
 
 
-def scaling_rows(found: dict[str, Any]) -> list[Row]:
-    """Of `scaling.py`."""
-    times, lines = found["times_ms"], found["lines"]
+def scaling_rows(result: dict[str, Any]) -> list[Row]:
+    """Format the result of `scaling`."""
+    times, lines = result["times_ms"], result["lines"]
     rows = [
         (f"{name}: cost of one more, and how far from a straight line",
          f"{lines[name]['per_unit_ms']:.2f} ms, {lines[name]['deviation']:.0%}")
@@ -75,47 +76,47 @@ def scaling_rows(found: dict[str, Any]) -> list[Row]:
     rows += [
         (
             f"three concepts fused, against a plain clip, {threads}",
-            f"{min(own['3 concepts']) / min(own['plain']):.2f} x",
+            f"{min(arms['3 concepts']) / min(arms['plain']):.2f} x",
         )
-        for threads, own in times["concepts"].items()
+        for threads, arms in times["concepts"].items()
     ]
     rows += [
         (
             f"the same three concepts with AGD, against without, {threads}",
-            f"{min(own['3 concepts, AGD']) / min(own['3 concepts']):.2f} x",
+            f"{min(arms['3 concepts, AGD']) / min(arms['3 concepts']):.2f} x",
         )
-        for threads, own in times["concepts"].items()
+        for threads, arms in times["concepts"].items()
     ]
-    for threads, own in times["batches"].items():
-        rates = throughput(own)
+    for threads, arms in times["batches"].items():
+        rates = throughput(arms)
         shown = ", ".join(f"{name.split()[-1]}: {rate:.0f}" for name, rate in rates.items())
         gain = rates["batch of 16"] / rates["batch of 1"]
         rows.append((f"clips a second in batches, {threads}", f"{shown} (16 against 1: {gain:.1f} x)"))
     return rows
 
 
-def neighbour_rows(found: dict[str, Any]) -> list[Row]:
-    """Of `neighbours.py`."""
+def contention_rows(result: dict[str, Any]) -> list[Row]:
+    """Format the result of `cpu_contention`."""
     return [
         (f"every CPU busy elsewhere, against idle, {name}",
-         f"{np.median(found['busy'][name]['times_ms']) / np.median(found['idle'][name]['times_ms']):.2f} x")
+         f"{np.median(result['busy'][name]['times_ms']) / np.median(result['idle'][name]['times_ms']):.2f} x")
         for name in ("default", "2 threads")
     ]  # fmt: skip
 
 
-def low_power_rows(found: dict[str, Any]) -> list[Row]:
-    """Of `low_power.py`."""
+def constrained_rows(result: dict[str, Any]) -> list[Row]:
+    """Format the result of `constrained_cpu`."""
     return [
         (f"sentence to file on {name}", f"{np.median(report['stages']['total']):.0f} ms")
-        for name, report in found["reports"].items()
+        for name, report in result["reports"].items()
         if report is not None
     ]
 
 
-def precision_rows(found: dict[str, Any]) -> list[Row]:
-    """Of `precision.py`."""
-    far, times = found["distance_mm"], found["times_ms"]
-    scores = found["scores"]
+def precision_rows(result: dict[str, Any]) -> list[Row]:
+    """Format the result of `quality.precision`."""
+    far, times = result["distance_mm"], result["times_ms"]
+    scores = result["scores"]
     judged = ", ".join(
         f"{label} {scores['candidate'][name]['mean']:.3f} ({scores['reference'][name]['mean']:.3f})"
         for name, label in (("behaviour", "behaviour"), ("r_precision_1", "R@1"))
@@ -127,57 +128,60 @@ def precision_rows(found: dict[str, Any]) -> list[Row]:
     ]
 
 
-PARTS: dict[str, Callable[[dict[str, Any]], list[Row]]] = {
+ROWS: dict[str, Callable[[dict[str, Any]], list[Row]]] = {
     "bench": bench_rows,
     "latency": latency_rows,
     "scaling": scaling_rows,
-    "neighbours": neighbour_rows,
-    "low_power": low_power_rows,
+    "neighbours": contention_rows,
+    "low_power": constrained_rows,
     "precision": precision_rows,
 }
 
 
-def measured(folder: Path) -> tuple[str, dict[str, str]]:
-    """Where and with what, and its rows.
+def read_column(folder: Path) -> tuple[str, dict[str, str]]:
+    """Read the results of one machine.
+
+    Returns:
+        The head of the column (CPU and versions), and its rows by name.
 
     Raises:
         ValueError: a result is of a quick run or of another machine than the others, or there is none.
     """
     rows: list[Row] = []
     machine: dict[str, Any] = {}
-    for name, make in PARTS.items():
+    for name, format_rows in ROWS.items():
         path = folder / f"{name}.json"
         if not path.is_file():
             continue
-        found = json.loads(path.read_text(encoding="utf-8"))
-        if found.get("quick"):
+        result = json.loads(path.read_text(encoding="utf-8"))
+        if result.get("quick"):
             raise ValueError(f"{path} is of a quick run, which only shows that the script works")
-        machine = machine or found["machine"]
-        if found["machine"]["cpu"] != machine["cpu"]:
-            raise ValueError(f"{path} was measured on {found['machine']['cpu']}, others on {machine['cpu']}")
-        rows += make(found)
+        machine = machine or result["machine"]
+        if result["machine"]["cpu"] != machine["cpu"]:
+            raise ValueError(f"{path} was measured on {result['machine']['cpu']}, others on {machine['cpu']}")
+        rows += format_rows(result)
     if not rows:
-        raise ValueError(f"{folder} has none of {', '.join(f'{name}.json' for name in PARTS)}")
-    about = f"{machine['cpu']}, {machine['cpus']} CPUs; kinegraph {machine['kinegraph']}, "
-    return about + f"onnxruntime {machine['onnxruntime']}, Python {machine['python']}", dict(rows)
+        raise ValueError(f"{folder} has none of {', '.join(f'{name}.json' for name in ROWS)}")
+    head = f"{machine['cpu']}, {machine['cpus']} CPUs; kinegraph {machine['kinegraph']}, "
+    return head + f"onnxruntime {machine['onnxruntime']}, Python {machine['python']}", dict(rows)
 
 
-def report(folders: Sequence[Path]) -> str:
-    """Markdown.
+def markdown_table(folders: Sequence[Path]) -> str:
+    """Format the results of some folders as Markdown, one column for each.
 
     Raises:
         ValueError: a result is of a quick run, or a folder has none or those of two machines.
     """
-    columns = [measured(folder) for folder in folders]
+    columns = [read_column(folder) for folder in folders]
     names = dict.fromkeys(name for _, rows in columns for name in rows)
-    lines = ["| | " + " | ".join(about for about, _ in columns) + " |", "|---|" + "---|" * len(columns)]
+    lines = ["| | " + " | ".join(head for head, _ in columns) + " |", "|---|" + "---|" * len(columns)]
     lines += [f"| {name} | " + " | ".join(rows.get(name, "") for _, rows in columns) + " |" for name in names]
     return "\n".join(lines) + "\n"
 
 
 def main() -> int:
-    """0: written; 2: nothing to report."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    """Run the command line: 0 if the table was written, 2 if there is nothing to put into it."""
+    parser = benchmark_parser(__doc__)
     parser.add_argument(
         "--results",
         type=Path,
@@ -185,14 +189,14 @@ def main() -> int:
         required=True,
         help="folders of JSON files; speed.md is written to the first",
     )
-    given = parser.parse_args()
+    options = parser.parse_args()
     try:
-        text = report(given.results)
+        table = markdown_table(options.results)
     except (KeyError, ValueError) as error:
-        print(f"report: error: {error}", file=sys.stderr)
+        print(f"speed_table: error: {error}", file=sys.stderr)
         return 2
-    (given.results[0] / "speed.md").write_text(text, encoding="utf-8")
-    print(text)
+    (options.results[0] / "speed.md").write_text(table, encoding="utf-8")
+    print(table)
     return 0
 
 

@@ -1,7 +1,10 @@
-"""One command for all tables: what was measured is not measured again, and what failed is told."""
+"""run_all: what has a result is not run again, and what failed is told."""
 
 from __future__ import annotations
 
+import contextlib
+import importlib
+import io
 import subprocess
 import sys
 from pathlib import Path
@@ -9,11 +12,15 @@ from typing import Any
 
 import pytest
 
-from kinegraph_benchmarks import run_all as tables
+from kinegraph_benchmarks import run_all
 
 NAMES = ["reconstruction", "behaviour", "lengths", "foot_fix", "evaluate", "masked_verbs", "edit_curves",
          "composition_settings", "sampling", "compare", "latent_tokens"]  # fmt: skip
 BROKEN = NAMES.index("masked_verbs") + 1
+
+
+def result_of(command: list[str]) -> Path:
+    return Path(command[command.index("--out") + 1])
 
 
 @pytest.fixture
@@ -23,9 +30,9 @@ def ran(monkeypatch: pytest.MonkeyPatch) -> list[list[str]]:
 
     def run(command: list[str], **_: Any) -> subprocess.CompletedProcess[str]:
         commands.append(command)
-        name = Path(command[1]).stem
+        name = result_of(command).stem
         if name != "masked_verbs":
-            Path(command[command.index("--out") + 1]).write_text("{}")
+            result_of(command).write_text("{}")
         return subprocess.CompletedProcess(command, 1, f"| table of {name} |\n", "")
 
     monkeypatch.setattr(subprocess, "run", run)
@@ -34,30 +41,36 @@ def ran(monkeypatch: pytest.MonkeyPatch) -> list[list[str]]:
 
 def call(monkeypatch: pytest.MonkeyPatch, folder: Path, *more: str) -> int:
     words = ["--data", "D", "--held-out", "H", "--run", "R", "--out", str(folder), *more]
-    monkeypatch.setattr(sys, "argv", ["tables.py", *words])
-    return tables.main()
+    monkeypatch.setattr(sys, "argv", ["run_all", *words])
+    return run_all.main()
 
 
 def test_a_stopped_page_goes_on(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, ran: list[list[str]]) -> None:
     assert call(monkeypatch, tmp_path) == 1
-    assert [Path(command[1]).stem for command in ran] == NAMES[:BROKEN]
+    assert [result_of(command).stem for command in ran] == NAMES[:BROKEN]
     (tmp_path / "masked_verbs.json").write_text("{}")
     assert call(monkeypatch, tmp_path) == 0
-    assert [Path(command[1]).stem for command in ran[BROKEN:]] == NAMES[BROKEN:]
+    assert [result_of(command).stem for command in ran[BROKEN:]] == NAMES[BROKEN:]
     assert call(monkeypatch, tmp_path) == 0 and len(ran) == len(NAMES)
     page = (tmp_path / "README.md").read_text()
     order = [page.index(f"table of {name} |") for name in NAMES if name != "masked_verbs"]
     assert order == sorted(order) and "masked" not in page
 
 
-def test_every_script_is_there_and_knows_its_arguments(
+def test_every_module_is_there_and_knows_its_arguments(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path, ran: list[list[str]]
 ) -> None:
+    for requirement in ("torch", "onnx", "onnxscript", "spacy"):
+        pytest.importorskip(requirement)
     (tmp_path / "masked_verbs.json").write_text("{}")
     assert call(monkeypatch, tmp_path, "--compare-steps", "0") == 0
-    assert {Path(command[1]).stem for command in ran} == {*NAMES[:-2]} - {"masked_verbs"}
+    assert {result_of(command).stem for command in ran} == {*NAMES[:-2]} - {"masked_verbs"}
     assert call(monkeypatch, tmp_path) == 0
-    assert [Path(command[1]).stem for command in ran[-2:]] == NAMES[-2:]
+    assert [result_of(command).stem for command in ran[-2:]] == NAMES[-2:]
     for command in ran:
-        source = Path(command[1]).read_text()
-        assert all(f'"{word}"' in source for word in command if word.startswith("--")), command
+        assert command[:2] == [sys.executable, "-m"]
+        monkeypatch.setattr(sys, "argv", [command[2], "--help"])
+        text = io.StringIO()
+        with contextlib.redirect_stdout(text), pytest.raises(SystemExit):
+            importlib.import_module(command[2]).main()
+        assert all(word in text.getvalue() for word in command if word.startswith("--")), command

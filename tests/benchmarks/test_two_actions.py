@@ -6,8 +6,21 @@ import numpy as np
 import pytest
 
 from kinegraph_benchmarks.common import predicates as p
-from kinegraph_benchmarks.common.two_action_scores import as_clips, by_training, score, transition_distance
-from kinegraph_benchmarks.common.two_action_set import ALONE, BESIDE, Composed, composed, composed_set, in_order, pairs
+from kinegraph_benchmarks.common.two_action_scores import (
+    as_motion_clips,
+    rates_by_training,
+    tmr_score,
+    transition_distance,
+)
+from kinegraph_benchmarks.common.two_action_set import (
+    ALONE,
+    BESIDE,
+    TwoActionClip,
+    build_two_action_set,
+    distinguishable_pairs,
+    happen_in_order,
+    join_clips,
+)
 from kinegraph_training.data.clips import MotionClip
 from kinegraph_training.synthetic.compositions import BLEND, HeldOut, stitch_clips
 from support.motions import posed, t_pose, turn, walk
@@ -31,41 +44,41 @@ CLIPS = [clip("walk", WALK), clip("raise-up-left-hand", LIFT)]
 def test_order_is_told_from_the_other_order() -> None:
     walks, lifts = p.goes(1, 1, 0.5), p.raises("left")
     there, back = stitch_clips(WALK, LIFT), stitch_clips(LIFT, WALK)
-    assert in_order(there, walks, lifts) and not in_order(back, walks, lifts)
-    assert in_order(back, lifts, walks) and not in_order(there, lifts, walks)
-    assert not in_order(WALK, walks, lifts) and not in_order(LIFT, walks, lifts)
+    assert happen_in_order(there, walks, lifts) and not happen_in_order(back, walks, lifts)
+    assert happen_in_order(back, lifts, walks) and not happen_in_order(there, lifts, walks)
+    assert not happen_in_order(WALK, walks, lifts) and not happen_in_order(LIFT, walks, lifts)
 
 
 def test_both_at_once_are_no_sequence_but_hold_together() -> None:
-    (both,) = composed_set(CLIPS, HELD, "together")
-    assert both.contents == ("walk", "raise-up-left-hand") and both.held_out
+    (both,) = build_two_action_set(CLIPS, HELD, "together")
+    assert both.actions == ("walk", "raise-up-left-hand") and both.held_out
     assert both.holds(both.joints) and not both.holds(WALK) and not both.holds(LIFT)
 
 
 def test_a_set_holds_each_pair_in_each_order_and_marks_what_is_held_out() -> None:
-    made = composed_set(CLIPS, HELD, "in_order")
-    assert {(one.contents, one.held_out) for one in made} == {
+    items = build_two_action_set(CLIPS, HELD, "in_order")
+    assert {(item.actions, item.held_out) for item in items} == {
         (("walk", "raise-up-left-hand"), True),
         (("raise-up-left-hand", "walk"), False),
     }
-    first = made[0]
+    first = items[0]
     assert first.joints.shape == (40 + 30 - BLEND, 22, 3) and first.cut == 40 - BLEND // 2
     assert [len(part) for part in first.crops(first.joints)] == [36, 26]
     assert first.holds(first.joints) and not first.holds(first.joints[::-1])
-    assert [one.captions for one in as_clips(made)] == [(one.caption,) for one in made]
+    assert [clip.captions for clip in as_motion_clips(items)] == [(item.caption,) for item in items]
 
 
 def test_styles_are_not_mixed_and_long_motions_are_left_out() -> None:
-    assert composed_set([clip("walk", WALK, "sad"), clip("raise-up-left-hand", LIFT)], HELD, "in_order") == []
+    assert build_two_action_set([clip("walk", WALK, "sad"), clip("raise-up-left-hand", LIFT)], HELD, "in_order") == []
     long = clip("walk", walk(190).astype(np.float32))
-    assert composed("in_order", long, CLIPS[1], HELD, np.random.default_rng(0)) is None
+    assert join_clips("in_order", long, CLIPS[1], HELD, np.random.default_rng(0)) is None
 
 
 def test_pairs_can_be_told_apart() -> None:
     for kind, judged in (("in_order", ALONE), ("together", BESIDE)):
-        found = pairs(kind)  # type: ignore[arg-type]
-        assert len(found) == len(set(found)) and all(set(pair) <= set(judged) for pair in found)
-        assert not any(("left" in a and "left" in b and "walk" not in a + b) for a, b in found)
+        pairs = distinguishable_pairs(kind)  # type: ignore[arg-type]
+        assert len(pairs) == len(set(pairs)) and all(set(pair) <= set(judged) for pair in pairs)
+        assert not any(("left" in a and "left" in b and "walk" not in a + b) for a, b in pairs)
 
 
 def test_a_hand_may_swing_while_the_body_travels() -> None:
@@ -75,8 +88,8 @@ def test_a_hand_may_swing_while_the_body_travels() -> None:
 
 
 def test_scores_with_known_answers() -> None:
-    one = np.eye(3, dtype=np.float32)
-    assert (score(one, one), score(one, -one), score(one, np.roll(one, 1, 0))) == (1.0, 0.0, 0.5)
+    unit = np.eye(3, dtype=np.float32)
+    assert (tmr_score(unit, unit), tmr_score(unit, -unit), tmr_score(unit, np.roll(unit, 1, 0))) == (1.0, 0.0, 0.5)
     assert transition_distance(t_pose(30).astype(np.float32), None) == pytest.approx(0.0, abs=1e-7)
     # one joint of 22 jumps 0.22 m once: over 2 x BLEND changes that is 0.01 m / (2 BLEND)
     jump = t_pose(40).astype(np.float32)
@@ -89,6 +102,6 @@ def test_scores_with_known_answers() -> None:
 
 
 def test_held_out_pairs_are_counted_apart() -> None:
-    made: list[Composed] = composed_set(CLIPS, HELD, "in_order")
-    found = by_training(made, [made[0].joints, WALK])
-    assert found == {"joined_in_training": {"clips": 1, "both_hold": 0.0}, "held_out": {"clips": 1, "both_hold": 1.0}}
+    items: list[TwoActionClip] = build_two_action_set(CLIPS, HELD, "in_order")
+    rates = rates_by_training(items, [items[0].joints, WALK])
+    assert rates == {"joined_in_training": {"clips": 1, "both_hold": 0.0}, "held_out": {"clips": 1, "both_hold": 1.0}}

@@ -13,12 +13,12 @@ import pytest
 pytest.importorskip("torch")
 
 from kinegraph_benchmarks.ablations import compml
-from kinegraph_benchmarks.ablations.compare import COLUMNS
+from kinegraph_benchmarks.ablations.training_runs import COLUMNS
 from kinegraph_training.config import read_preset
 
 
 def evaluation(value: float) -> dict[str, Any]:
-    """What `evaluate.py` writes, as far as it is read."""
+    """The result of `quality.evaluate`, as far as it is read."""
     made = {column: {"mean": value} for column in COLUMNS}
     captured = {column: {"mean": 0.5} for column in COLUMNS}
     apart = {"joined_in_training": {"clips": 3, "both_hold": value}, "held_out": {"clips": 2, "both_hold": value / 2}}
@@ -39,7 +39,7 @@ def ran(monkeypatch: pytest.MonkeyPatch) -> list[list[str]]:
 
     def run(command: list[str], **_: Any) -> subprocess.CompletedProcess[str]:
         commands.append(command)
-        if command[1].endswith("evaluate.py"):
+        if command[2] == "kinegraph_benchmarks.quality.evaluate":
             Path(command[command.index("--out") + 1]).write_text(json.dumps(evaluation(0.1 * len(commands))))
         return subprocess.CompletedProcess(command, 0)
 
@@ -50,7 +50,7 @@ def ran(monkeypatch: pytest.MonkeyPatch) -> list[list[str]]:
 def call(monkeypatch: pytest.MonkeyPatch, folder: Path, *more: str) -> None:
     words = ["--data", "D", "--held-out", "H", "--start", str(folder / "start"), "--work", str(folder / "work")]
     words += ["--steps", "40", "--count", "7", "--out", str(folder / "out.json"), *more]
-    monkeypatch.setattr(sys, "argv", ["compml.py", *words])
+    monkeypatch.setattr(sys, "argv", ["compml", *words])
     assert compml.main() == 0
 
 
@@ -59,8 +59,8 @@ def without(command: list[str], *names: str) -> list[str]:
     kept = list(command)
     for name in names:
         if name in kept:
-            place = kept.index(name)
-            del kept[place : place + 2]
+            index = kept.index(name)
+            del kept[index : index + 2]
     return kept
 
 
@@ -68,7 +68,8 @@ def test_rows_differ_in_the_data_alone(monkeypatch: pytest.MonkeyPatch, tmp_path
     for name in (*compml.AUTOENCODERS, "denoisers"):
         (tmp_path / "start" / name).mkdir(parents=True)
     call(monkeypatch, tmp_path, "--seeds", "1", "2")
-    kinds = [Path(command[1]).stem if command[1] != "-m" else command[2].rpartition(".")[2] for command in ran]
+    assert all(command[1] == "-m" for command in ran)
+    kinds = [command[2].rpartition(".")[2] for command in ran]
     assert kinds == ["compml", "evaluate"] + 4 * ["train_denoisers", "evaluate"]
     assert ran[0][ran[0].index("--count") + 1] == "7"
     training = [command for command, kind in zip(ran, kinds, strict=True) if kind == "train_denoisers"]
@@ -76,8 +77,8 @@ def test_rows_differ_in_the_data_alone(monkeypatch: pytest.MonkeyPatch, tmp_path
         assert "--more" not in recorded and composed[composed.index("--more") + 1] == str(
             tmp_path / "work" / "composed"
         )
-        own = ("--run", "--preset", "--more")
-        assert without(recorded, *own) == without(composed, *own)
+        differing = ("--run", "--preset", "--more")
+        assert without(recorded, *differing) == without(composed, *differing)
         presets = [Path(command[command.index("--preset") + 1]).read_text() for command in (recorded, composed)]
         assert presets[0] == presets[1]
         assert recorded[recorded.index("--start-from") + 1] == str(tmp_path / "start" / "denoisers" / "last.ckpt")
@@ -99,8 +100,8 @@ def test_the_table_names_every_row(monkeypatch: pytest.MonkeyPatch, tmp_path: Pa
 
 
 def test_a_fine_tune_has_half_the_rate_of_its_preset(tmp_path: Path) -> None:
-    (tmp_path / "preset.toml").write_text(compml.preset("edge", 3, 400))
-    found, edge = read_preset(str(tmp_path / "preset.toml")), read_preset("edge")
-    assert found.denoiser_training.learning_rate == edge.denoiser_training.learning_rate / 2
-    assert (found.denoiser_training.steps, found.denoiser_training.warmup, found.seed) == (400, 40, 3)
-    assert found.data == edge.data and found.denoiser == edge.denoiser
+    (tmp_path / "preset.toml").write_text(compml.preset_toml("edge", 3, 400))
+    preset, edge = read_preset(str(tmp_path / "preset.toml")), read_preset("edge")
+    assert preset.denoiser_training.learning_rate == edge.denoiser_training.learning_rate / 2
+    assert (preset.denoiser_training.steps, preset.denoiser_training.warmup, preset.seed) == (400, 40, 3)
+    assert preset.data == edge.data and preset.denoiser == edge.denoiser
