@@ -43,7 +43,7 @@ class Clip:
     """Semantic graph it was generated from, edits included; None where there was none, or more than one."""
 
     loops: bool = False
-    """Whether the last frame equals the first but for travel (`make_loop`); files do not store it."""
+    """True for a loop, whose last frame equals the first but for travel; files do not store it."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "joints", _validate_joints(self.joints))

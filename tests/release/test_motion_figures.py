@@ -82,7 +82,7 @@ def test_joins_of_generated_sequences(pipe: MotionPipeline, figure: Callable[[st
             joined = pipe.sequence(texts, seconds=3, seed=seed).joints
             first, second = (pipe.generate(text, seconds=3, seed=seed + k).joints for k, text in enumerate(texts))
             blend = best_blend(first, second, FPS)
-            # in it, and while feet come to be held beside it, a fifth of a second
+            # the blend, and the fifth of a second on either side in which feet come to be locked
             begin, end = max(0, blend.start - 6), blend.start + blend.frames + 4
             usual = np.quantile(np.concatenate([peak_accelerations(first, FPS), peak_accelerations(second, FPS)]), 0.95)
             ratios.append(peak_accelerations(joined, FPS)[begin:end].max() / usual)

@@ -71,11 +71,11 @@ def test_mirrored_features() -> None:
     np.testing.assert_allclose(other[:, layout.YAW_VELOCITY], -rows[:, layout.YAW_VELOCITY], atol=1e-5)
     np.testing.assert_allclose(other[:, layout.ROOT_VELOCITY], rows[:, layout.ROOT_VELOCITY] * [-1, 1], atol=1e-5)
     np.testing.assert_allclose(other[:, layout.HEIGHT], rows[:, layout.HEIGHT])
-    places = rows[:, layout.POSITIONS].reshape(-1, 21, 3)
-    other_places = other[:, layout.POSITIONS].reshape(-1, 21, 3)
+    positions = rows[:, layout.POSITIONS].reshape(-1, 21, 3)
+    other_positions = other[:, layout.POSITIONS].reshape(-1, 21, 3)
     left, right = JOINT_INDEX["left_wrist"] - 1, JOINT_INDEX["right_wrist"] - 1
-    np.testing.assert_allclose(other_places[:, left], places[:, right] * [-1, 1, 1], atol=1e-5)
-    assert np.abs(places[:, right] - places[:, left]).max() > 0.1
+    np.testing.assert_allclose(other_positions[:, left], positions[:, right] * [-1, 1, 1], atol=1e-5)
+    assert np.abs(positions[:, right] - positions[:, left]).max() > 0.1
     contacts, other_contacts = rows[:, layout.CONTACTS], other[:, layout.CONTACTS]
     np.testing.assert_array_equal(other_contacts, contacts[:, [2, 3, 0, 1]])
 
@@ -83,9 +83,9 @@ def test_mirrored_features() -> None:
 def test_local_positions_are_in_the_facing_frame() -> None:
     joints = t_pose(3)
     turned = (joints.astype(np.float64) @ turn("y", 1.3).T + [2.0, 0.0, 1.0]).astype(np.float32)
-    places = features_from_joints(turned)[:, layout.POSITIONS].reshape(3, 21, 3)
+    positions = features_from_joints(turned)[:, layout.POSITIONS].reshape(3, 21, 3)
     pelvis = joints[:, :1] * [1, 0, 1]
-    np.testing.assert_allclose(places, joints[:, 1:] - pelvis, atol=1e-5)
+    np.testing.assert_allclose(positions, joints[:, 1:] - pelvis, atol=1e-5)
 
 
 def test_contacts_need_a_foot_that_is_low_and_still() -> None:

@@ -38,7 +38,7 @@ MP4_SCALE: Final = 2
 MP4_CRF: Final = "18"
 """x264's constant rate factor: no visible blocks around lines."""
 _MAX_DENOMINATOR: Final = 10_000
-"""Of a frame rate: 29.97 becomes 2997/100, not the binary fraction next to it."""
+"""Largest denominator of a frame rate: 29.97 becomes 2997/100, not the binary fraction next to it."""
 
 
 def encode_gif(clip: Clip) -> bytes:

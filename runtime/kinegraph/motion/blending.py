@@ -1,7 +1,7 @@
 """Blending of motions: clips stitched one after another, and clips closed into loops.
 
 Where to cut is found by comparing frames as in motion graphs (Kovar et al., 2002): pose, joint velocities and velocity
-over the floor, each in the facing frame of its body, so that neither place nor heading counts. Blends mix joint
+over the floor, each in the facing frame of its body, so that neither position nor heading counts. Blends mix joint
 rotations, not positions: a mix of positions would shorten an arm that goes from below to above.
 
 A loop is a clip whose last frame is its first one again, one round later. Travel and heading go on from round to round.
@@ -132,7 +132,7 @@ def canonical_poses(joints: FloatArray) -> Floats:
 
 
 def matching_features(joints: FloatArray, fps: float) -> Floats:
-    """Compute what two frames are compared by: pose, joint velocities and velocity over the floor.
+    """Compute the features that two frames are compared by: pose, joint velocities, velocity over the floor.
 
     Args:
         joints: (frames, 22, 3) metres.
@@ -213,7 +213,7 @@ def _blend(first: FloatArray, second: FloatArray, window: int, fps: float) -> Bl
     """Blend two clips over `window` frames at their best transition."""
     a, b = best_transition(first, second, window, fps)
     end, start = first[a : a + window].astype(np.float64), second[b:].astype(np.float64)
-    # align the second clip: same heading and same place over the floor in the middle of the window
+    # align the second clip: same heading and same position over the floor in the middle of the window
     middle = window // 2
     angle = facing_angle(first)[a + middle] - facing_angle(second)[b + middle]
     pivot = start[middle, 0] * HORIZONTAL
@@ -234,7 +234,7 @@ def _mix(first: Floats, second: Floats, share: Floats, fps: float) -> Floats:
     rotations = slerp(motions[0].rotations, motions[1].rotations, share[:, None])
     share = share[:, None, None]
     root = motions[0].root + share[:, 0] * (motions[1].root - motions[0].root)
-    # what rigid bones cannot follow is added back, so that nothing jumps where the blend begins and ends
+    # add back the residual that rigid bones cannot follow, so that nothing jumps where the blend begins and ends
     return forward_kinematics(offsets, root, rotations) + residuals[0] + share * (residuals[1] - residuals[0])
 
 

@@ -55,7 +55,7 @@ def resample(joints: FloatArray, fps: float, new_fps: float, *, loops: bool = Fa
     share = time - before
     motion = rotations_from_positions(joints, fps, loops=loops)
     solved = forward_kinematics(motion.rest_offsets, motion.root, motion.rotations)
-    # what rigid bones cannot follow is interpolated apart and added back, so that old frames stay as they are
+    # interpolate the residual that rigid bones cannot follow and add it back, so that old frames stay as they are
     residual = _lerp(joints - solved, before, after, share[:, None, None])
     rotations = slerp(motion.rotations[before], motion.rotations[after], share[:, None])
     root = _lerp(motion.root, before, after, share[:, None])
