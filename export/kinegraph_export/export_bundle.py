@@ -1,8 +1,8 @@
-"""From a training run to a bundle, in one command.
+"""Export a training run to a bundle, and validate it.
 
-    python -m kinegraph_export.export_bundle --run runs/edge --assets assets --out bundle
+    python -m kinegraph_export.export_bundle --run runs/edge --assets assets --card card.json --out bundle
 
-Every graph is validated against its module, the whole pipeline against torch; what was measured is in the manifest.
+Every graph is compared with its torch module, and the whole pipeline with torch; the differences are in the manifest.
 """
 
 from __future__ import annotations
@@ -47,10 +47,17 @@ from kinegraph.motion.skeleton import JOINT_NAMES, PARENTS
 from kinegraph.pipeline import MotionPipeline
 from kinegraph.text.argument_classifier import read_provenance
 from kinegraph_export.checkpoints import read_run
-from kinegraph_export.graphs import KEPT_IN_FLOAT, STORED_INT8, Precision, Trained, export_graphs, level_specs
+from kinegraph_export.graphs import (
+    FLOAT32_GRAPHS,
+    INT8_WEIGHT_GRAPHS,
+    Precision,
+    TrainedModels,
+    export_graphs,
+    level_specs,
+)
 from kinegraph_export.parity import ParityError
 from kinegraph_export.pinned_wheels import MINILM, SPACY_MODEL
-from kinegraph_export.pipeline_parity import Request, torch_joints
+from kinegraph_export.pipeline_parity import SamplingRequest, torch_joints
 from kinegraph_training.bundle_tables import read_tables
 from kinegraph_training.data.caption_cache import read_assets
 from kinegraph_training.latents import TrainedVae
@@ -64,13 +71,14 @@ PROMPTS = (
     "the person dashes forward", "a person walks to the left", "someone waves, then walks away proudly",
 )  # fmt: skip
 MAX_PIPELINE_MM: dict[Precision, float] = {"fp32": 1.0, "int8": 100.0}
-"""Of the runtime to torch, and of a batch to single clips, same noise. In int8 it guards against a broken bundle;
-`kinegraph_benchmarks.quality.precision` is the gate."""
+"""Largest mean joint distance, mm, of the runtime to torch and of a batch to single clips, with the same noise.
+
+In int8 it guards against a broken bundle only; `kinegraph_benchmarks.quality.precision` is the gate."""
 
 
 @dataclasses.dataclass(frozen=True)
-class Card:
-    """What a person has to say about a bundle: read from a JSON file of these keys."""
+class BundleCard:
+    """The part of a manifest that a person writes, read from a JSON file with these keys."""
 
     name: str
     version: str
@@ -85,31 +93,44 @@ class Card:
     quality: dict[str, float]
 
     @staticmethod
-    def read(path: Path) -> Card:
-        """Raises InvalidInputError where keys are missing or unknown."""
+    def read(path: Path) -> BundleCard:
+        """Read a card.
+
+        Raises:
+            InvalidInputError: the file is missing or no JSON, or keys are missing or unknown.
+        """
         try:
-            said = json.loads(path.read_text(encoding="utf-8"))
-            return Card(**{**said, "licence": Licence(**said["licence"])})
+            fields = json.loads(path.read_text(encoding="utf-8"))
+            return BundleCard(**{**fields, "licence": Licence(**fields["licence"])})
         except (OSError, ValueError, TypeError, KeyError) as error:
             raise InvalidInputError(f"{path} is no bundle card: {error}") from error
 
 
-def table_file(measured: dict[str, FloatArray]) -> bytes:
-    """tables.npz: what the run measured on its data."""
+def encode_tables(tables: dict[str, FloatArray]) -> bytes:
+    """Encode tables.npz, the statistics that the run took of its data."""
     buffer = io.BytesIO()
-    np.savez(buffer, **measured)
+    np.savez(buffer, **tables)
     return buffer.getvalue()
 
 
-def manifest_of(
-    card: Card,
-    trained: Trained,
-    own: TrainedVae,
+def build_manifest(
+    card: BundleCard,
+    trained: TrainedModels,
+    specific: TrainedVae,
     files: dict[str, bytes],
     parity: dict[str, float],
     precision: Precision,
 ) -> Manifest:
-    """The manifest, all but the whole pipeline's parity."""
+    """Build the manifest, complete but for the parity of the whole pipeline.
+
+    Args:
+        card: what a person wrote.
+        trained: the models.
+        specific: the specific autoencoder with the statistics of its features.
+        files: contents of all files but the manifest, by name.
+        parity: differences that `export_graphs` measured.
+        precision: of the denoisers.
+    """
     config = trained.hierarchy.config
     graphs = {name: data for name, data in files.items() if name.endswith(".onnx")}
     operators = {name: summarise(data, name).operators for name, data in sorted(graphs.items())}
@@ -122,7 +143,7 @@ def manifest_of(
             "training_data": card.training_data,
             "text_encoder": f"sentence-transformers/all-MiniLM-L6-v2 from {MINILM}",
             "parser": f"en_core_web_sm from {SPACY_MODEL}",
-            "arguments": read_provenance(files["arguments.npz"]) if "arguments.npz" in files else "by rules alone",
+            "arguments": read_provenance(files["options.npz"]) if "options.npz" in files else "by rules alone",
             "numbers": describe_precision(operators, precision),
             "built_with": f"kinegraph {kinegraph.__version__}, torch {torch.__version__}, "
             f"onnxruntime {onnxruntime.__version__}, Python {platform.python_version()}",
@@ -131,7 +152,7 @@ def manifest_of(
         skeleton=SkeletonSpec(JOINT_NAMES, PARENTS),
         fps=20.0,
         frames=FrameSpec(min=16, max=config.max_frames, per_token=trained.vae.config.frames_per_token),
-        features=FeatureSpec("joints-137", "true", tuple(map(float, own.mean)), tuple(map(float, own.std))),
+        features=FeatureSpec("joints-137", "true", tuple(map(float, specific.mean)), tuple(map(float, specific.std))),
         text=TextSpec(width=config.text_width, mask_token="[MASK]"),
         levels=level_specs(trained),
         schedule=ScheduleSpec(config.train_steps, 8.5e-4, 0.012, 1, "leading", "epsilon"),
@@ -147,32 +168,44 @@ def manifest_of(
 
 
 def describe_precision(operators: dict[str, tuple[str, ...]], precision: Precision) -> str:
-    """How weights are stored and computed with, for a person to read."""
+    """Describe for a person how weights are stored and computed with.
+
+    Args:
+        operators: those of each graph file.
+        precision: of the denoisers.
+    """
 
     def present(graphs: tuple[str, ...]) -> str:
         return ", ".join(graph for graph in graphs if f"{graph}.onnx" in operators)
 
-    blocks = "com.microsoft::MatMulNBits" in operators["text_encoder.onnx"]
+    in_blocks = "com.microsoft::MatMulNBits" in operators["text_encoder.onnx"]
     halves = "float32 arithmetic on weights stored as float16"
-    own = {
+    networks = {
         "fp32": f"all networks: {halves}",
         "int8": "denoisers: int8, activations with one scale per tensor and run (with adaptive gradient descent, what "
         "reads and moves the context computes in float32); "
-        f"{present(STORED_INT8)}: float32 arithmetic on weights stored as int8; {present(KEPT_IN_FLOAT)}: {halves}",
+        f"{present(INT8_WEIGHT_GRAPHS)}: float32 arithmetic on weights stored as int8; {present(FLOAT32_GRAPHS)}: {halves}",
     }[precision]
-    return f"{own}; text encoder: " + ("weights in int8 blocks" if blocks else "float32 throughout")
+    return f"{networks}; text encoder: " + ("weights in int8 blocks" if in_blocks else "float32 throughout")
 
 
 def write_bundle(folder: Path, manifest: Manifest, files: dict[str, bytes]) -> None:
-    """All files of a bundle, into a new folder."""
+    """Write all files of a bundle into a new folder."""
     folder.mkdir(parents=True)
     for name, data in files.items():
         (folder / name).write_bytes(data)
     (folder / "manifest.json").write_bytes(encode_manifest(manifest))
 
 
-def pipeline_difference(folder: Path, trained: Trained, own: TrainedVae, bones: FloatArray | None) -> float:
-    """Mean joint distance between torch and the runtime over `PROMPTS`, mm; captions, graphs and noise the same."""
+def pipeline_difference(folder: Path, trained: TrainedModels, specific: TrainedVae, bones: FloatArray | None) -> float:
+    """Measure the mean joint distance between torch and the runtime over `PROMPTS`, mm; graphs and noise are the same.
+
+    Args:
+        folder: of the bundle.
+        trained: the models that it was exported from.
+        specific: the specific autoencoder with the statistics of its features.
+        bones: (21,) bone lengths that the runtime enforces, metres.
+    """
     pipe = MotionPipeline.load(folder)
     distances = []
     for seed, prompt in enumerate(PROMPTS):
@@ -180,27 +213,34 @@ def pipeline_difference(folder: Path, trained: Trained, own: TrainedVae, bones: 
         clip = pipe.generate(graph, seed=seed, foot_fix=False)
         plans = [LevelPlan(name, spec.tokens, spec.latent_width, 1) for name, spec in pipe.manifest.levels.items()]
         sampling = pipe.manifest.defaults
-        request = Request(
+        request = SamplingRequest(
             clip.frames, initial_noise(seed, plans), sampling.steps, sampling.guidance, sampling.guidance_base
         )
-        expected = torch_joints(trained, pipe.encoder.encode_text([graph])[0], request, own.mean, own.std)
+        expected = torch_joints(trained, pipe.encoder.encode_text([graph])[0], request, specific.mean, specific.std)
         expected = enforce_bone_lengths(expected, bones)
         distances.append(np.linalg.norm(clip.joints - expected, axis=-1).mean() * 1000.0)
     return float(np.mean(distances))
 
 
 def batch_difference(folder: Path) -> float:
-    """Mean joint distance between clips of one batch and the same clips made one by one, mm."""
+    """Measure the mean joint distance between clips of one batch and the same clips generated singly, mm."""
     pipe = MotionPipeline.load(folder)
     graphs = [pipe.parse(prompt) for prompt in PROMPTS]
-    together = pipe.batch(graphs, seconds=2, seed=0, foot_fix=False)
+    together = pipe.batch(graphs, seconds=2, seed=0, foot_fix=False, shared_run=True)
     alone = [pipe.generate(graph, seconds=2, seed=seed, foot_fix=False) for seed, graph in enumerate(graphs)]
     distances = [np.linalg.norm(a.joints - b.joints, axis=-1).mean() for a, b in zip(together, alone, strict=True)]
     return float(np.mean(distances)) * 1000.0
 
 
-def export_bundle(run: Path, assets: Path, card: Card, out: Path, precision: Precision = "int8") -> Manifest:
-    """Export, validate, and put the bundle in place; a bundle that was there before is replaced.
+def export_bundle(run: Path, assets: Path, card: BundleCard, out: Path, precision: Precision = "int8") -> Manifest:
+    """Export a run, validate the bundle, and put it in place; a bundle that was there before is replaced.
+
+    Args:
+        run: folder of the training run.
+        assets: folder of the text files.
+        card: what a person wrote.
+        out: folder of the bundle.
+        precision: of the denoisers.
 
     Raises:
         OutputError: `out` is a folder of something else.
@@ -209,23 +249,23 @@ def export_bundle(run: Path, assets: Path, card: Card, out: Path, precision: Pre
     """
     if out.exists() and not (out / "manifest.json").is_file():
         raise OutputError(f"{out} exists and is not a bundle; name another folder")
-    trained, own = read_run(run)
-    graphs, parity = export_graphs(trained, trained.hierarchy.config.text_width, len(own.mean), precision)
-    measured = read_tables(run)
+    trained, specific = read_run(run)
+    graphs, parity = export_graphs(trained, trained.hierarchy.config.text_width, len(specific.mean), precision)
+    tables = read_tables(run)
     files = read_assets(assets) | graphs
-    files["tables.npz"] = table_file(measured)
-    draft = manifest_of(card, trained, own, files, parity, precision)
+    files["tables.npz"] = encode_tables(tables)
+    draft = build_manifest(card, trained, specific, files, parity, precision)
     with tempfile.TemporaryDirectory() as folder:
         staged = Path(folder) / "bundle"
         write_bundle(staged, draft, files)
-        far = {
-            "pipeline_mm": pipeline_difference(staged, trained, own, bones_of(measured)),
+        differences = {
+            "pipeline_mm": pipeline_difference(staged, trained, specific, bones_of(tables)),
             "batch_mm": batch_difference(staged),
         }
-        for name, distance in far.items():
+        for name, distance in differences.items():
             if not distance <= MAX_PIPELINE_MM[precision]:
                 raise ParityError(f"{name} is {distance:.3f}, more than {MAX_PIPELINE_MM[precision]}")
-        manifest = dataclasses.replace(draft, parity={**parity, **far})
+        manifest = dataclasses.replace(draft, parity={**parity, **differences})
         (staged / "manifest.json").write_bytes(encode_manifest(manifest))
         shutil.rmtree(out, ignore_errors=True)
         out.parent.mkdir(parents=True, exist_ok=True)
@@ -234,20 +274,20 @@ def export_bundle(run: Path, assets: Path, card: Card, out: Path, precision: Pre
 
 
 def main(argv: list[str] | None = None) -> None:
-    """Command line."""
+    """Run the command line."""
     parser = argparse.ArgumentParser(prog="kinegraph_export.export_bundle", description=__doc__.split("\n")[0])
     parser.add_argument("--run", type=Path, required=True, help="folder of the training run")
     parser.add_argument("--assets", type=Path, required=True, help="folder with the text files")
     parser.add_argument("--card", type=Path, required=True, help="JSON: name, version, licences, defaults, quality")
     parser.add_argument("--out", type=Path, required=True, help="folder of the bundle")
     parser.add_argument("--precision", choices=get_args(Precision), default="int8", help="of the denoisers")
-    arguments = parser.parse_args(argv)
-    card = Card.read(arguments.card)
-    manifest = export_bundle(arguments.run, arguments.assets, card, arguments.out, arguments.precision)
+    options = parser.parse_args(argv)
+    card = BundleCard.read(options.card)
+    manifest = export_bundle(options.run, options.assets, card, options.out, options.precision)
     for name, difference in manifest.parity.items():
         print(f"{name:20s} {difference:.2e}")
     size = sum(entry.bytes for entry in manifest.files.values())
-    print(f"{size / 1e6:.1f} MB in {arguments.out}", file=sys.stderr)
+    print(f"{size / 1e6:.1f} MB in {options.out}", file=sys.stderr)
 
 
 if __name__ == "__main__":

@@ -17,9 +17,9 @@ MAX_FRAMES: Final = 196
 """Frames of one generated clip (HumanML3D's limit; 9.8 s at 20 frames per second)."""
 
 MAX_TAKES: Final = 64
-"""Clips of one run."""
+"""Clips of one call."""
 
-MAX_PARTS: Final = 32
+MAX_PARTS: Final = 256
 """Sentences of one sequence."""
 
 MAX_CONCEPTS: Final = 8

@@ -10,7 +10,7 @@ import math
 import re
 import secrets
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from numbers import Integral, Real
 from types import MappingProxyType
 from typing import Any, Final, TypeVar
@@ -193,19 +193,47 @@ def short_repr(value: object) -> str:
     return f"a value of type {type(value).__name__}"
 
 
-def batch_seeds(first: int, texts: int, takes: object) -> list[int]:
+def batch_seeds(first: int, texts: int, takes: object, most: int = MAX_TAKES) -> list[int]:
     """List the seeds of a batch, one after another.
 
+    Args:
+        first: seed of the first clip.
+        texts: number of sentences.
+        takes: of each sentence.
+        most: clips allowed.
+
     Raises:
-        InvalidInputError: takes that are not a whole number, more than `limits.MAX_TAKES` clips, or seeds that end past
-            the largest.
+        InvalidInputError: takes that are not a whole number, more than `most` clips, or seeds past the largest.
     """
     number = whole_number(takes)
-    if number is None or not 1 <= number <= MAX_TAKES:
-        raise InvalidInputError(f"takes must be a whole number from 1 to {MAX_TAKES}, not {short_repr(takes)}")
-    if texts * number > MAX_TAKES:
-        raise InvalidInputError(f"{texts} sentences of {number} takes; {MAX_TAKES} clips at most share a run")
+    if number is None or not 1 <= number <= most:
+        raise InvalidInputError(f"takes must be a whole number from 1 to {most}, not {short_repr(takes)}")
+    if texts * number > most:
+        raise InvalidInputError(f"{texts} sentences of {number} takes; {most} clips at most in one call")
     return [validate_seed(first + index) for index in range(texts * number)]
+
+
+def with_margins(
+    options: GenerateOptions, manifest: Manifest, *, first: bool, last: bool, margin: int
+) -> tuple[int, GenerateOptions]:
+    """Lengthen a part of a sequence by what the blends at its ends need, as far as the model reaches.
+
+    Args:
+        options: of the part, with its own length.
+        manifest: of the bundle.
+        first, last: whether it is the first or the last part, which has no blend before or after it.
+        margin: frames that a blend needs on one side (`motion.blending.blend_margin`).
+
+    Returns:
+        Frames that come before the part, and the options with the longer length.
+    """
+    lead, tail = 0 if first else margin, 0 if last else margin
+    spare = manifest.frames.max - options.frames
+    if lead + tail > spare:
+        lead = spare * lead // (lead + tail)
+        tail = spare - lead if tail else 0
+    frames = options.frames + lead + tail
+    return lead, replace(options, frames=frames, seconds=frames / manifest.fps)
 
 
 def sequence_caption(captions: Sequence[str]) -> str:

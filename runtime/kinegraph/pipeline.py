@@ -28,7 +28,7 @@ from kinegraph.diffusion.sampling import OnStep, subrange_progress
 from kinegraph.errors import InvalidInputError
 from kinegraph.graph import SemanticGraph
 from kinegraph.limits import MAX_PARTS, MAX_TAKES
-from kinegraph.motion.blending import stitch
+from kinegraph.motion.blending import blend_margin, stitch
 from kinegraph.options import (
     GenerateOptions,
     Guidance,
@@ -37,6 +37,7 @@ from kinegraph.options import (
     resolve_options,
     sequence_caption,
     validate_lengths,
+    with_margins,
 )
 from kinegraph.text.parser import LazyParser, check_caption
 from kinegraph.text.tokenizer import CaptionTokenizer
@@ -149,12 +150,10 @@ class MotionPipeline:
         plan = SamplingPlan.for_graph(graph)
         # 3. Text encoder and graph attention (Eq. 1-3); the sentence may tell the length
         conditions, options = self._encode(plan, options, own_length=seconds is None)
-        # 4. Motion -> action -> specific latent
-        on_latent = self._on_latent(on_level, options, graph.caption)
-        weights = None if plan.is_plain else plan.weights
-        latents = self.sampler.sample(conditions, weights, [options], on_step, on_latent)
-        # 5. Latents -> features -> joints -> clip
-        return replace(self.decoder.decode(latents, [options], [graph.caption])[0], graph=graph)
+        # 4. Motion -> action -> specific latent; 5. latents -> features -> joints -> clip
+        return self._sample(
+            graph, plan, conditions, options, on_step, self._on_latent(on_level, options, graph.caption)
+        )
 
     def takes(
         self,
@@ -166,6 +165,7 @@ class MotionPipeline:
         steps: Steps | None = None,
         guidance: Guidance | None = None,
         foot_fix: bool = True,
+        shared_run: bool = False,
         on_step: OnStep | None = None,
     ) -> list[Clip]:
         """Make several clips for one sentence: a `batch` of it alone, `count` takes, 1 to `limits.MAX_TAKES`."""
@@ -177,6 +177,7 @@ class MotionPipeline:
             steps=steps,
             guidance=guidance,
             foot_fix=foot_fix,
+            shared_run=shared_run,
             on_step=on_step,
         )
 
@@ -190,21 +191,27 @@ class MotionPipeline:
         steps: Steps | None = None,
         guidance: Guidance | None = None,
         foot_fix: bool = True,
+        shared_run: bool = False,
         on_step: OnStep | None = None,
     ) -> list[Clip]:
-        """Make clips for many sentences in shared runs: all takes of the first, then of the second ...
+        """Make clips for many sentences: all takes of the first, then of the second ...
 
-        Clip k is what `generate` makes of its sentence with seed + k: in an fp32 bundle to 0.1 mm, because sums of a
-        larger run are rounded in another order; in an int8 bundle roughly, because one scale spans a run.
+        Clip k is what `generate` makes of its sentence with seed + k, bit for bit.
 
         Args:
-            texts: sentences or graphs as they were parsed, without weights on their edges.
+            texts: sentences or graphs.
             takes: of each; `limits.MAX_TAKES` clips at most in all.
             seconds: one length, one per sentence, or None for what each asks for.
-            seed, steps, guidance, foot_fix, on_step: as in `generate`.
+            seed, steps, guidance, foot_fix: as in `generate`.
+            shared_run: let all clips share the runs of the models, which is faster. Sums of a larger run are rounded in
+                another order, so a clip then equals that of `generate` to 0.1 mm in an fp32 bundle only; in an int8
+                bundle one scale spans a run, and clips differ by `batch_mm` of the manifest's parity on average.
+                Graphs must have no weighted edges and no negated actions.
+            on_step: as in `generate`; its `done` and `total` are those of all clips.
 
         Raises:
-            InvalidInputError, Cancelled, NonFiniteError: as in `generate`; also for too many clips, and for weights.
+            InvalidInputError, Cancelled, NonFiniteError: as in `generate`; also for too many clips, and for weights in
+                a shared run.
         """
         lengths = validate_lengths(texts, seconds, MAX_TAKES, "a batch")
         options = [
@@ -213,18 +220,17 @@ class MotionPipeline:
         ]
         seeds = batch_seeds(options[0].seed, len(options), takes)
         graphs = [self.as_graph(text) for text in texts]
-        if any(node.weight != 1 for graph in graphs for node in graph.nodes):
-            raise InvalidInputError("clips that share one run cannot weigh edges; make weighted clips one by one")
-        features = self.encoder.encode_text(graphs)
-        for index, length in enumerate(lengths):
-            if length is None:
-                options[index] = self.encoder.with_length(options[index], [features[index]])
-        conditions = repeat_rows(self.encoder.attend(features), takes)
-        samples = [replace(options[index // takes], seed=value) for index, value in enumerate(seeds)]
-        sampled_graphs = [graph for graph in graphs for _ in range(takes)]
-        latents = self.sampler.sample(conditions, None, samples, on_step)
-        clips = self.decoder.decode(latents, samples, [graph.caption for graph in sampled_graphs])
-        return [replace(clip, graph=graph) for clip, graph in zip(clips, sampled_graphs, strict=True)]
+        if shared_run:
+            return self._sample_together(graphs, options, seeds, takes, lengths, on_step)
+        clips = []
+        for index, (graph, length) in enumerate(zip(graphs, lengths, strict=True)):
+            plan = SamplingPlan.for_graph(graph)
+            conditions, text_options = self._encode(plan, options[index], own_length=length is None)
+            for number in range(index * takes, (index + 1) * takes):
+                sample = replace(text_options, seed=seeds[number])
+                progress = subrange_progress(on_step, number, len(seeds))
+                clips.append(self._sample(graph, plan, conditions, sample, progress))
+        return clips
 
     def sequence(
         self,
@@ -237,11 +243,13 @@ class MotionPipeline:
         foot_fix: bool = True,
         on_step: OnStep | None = None,
     ) -> Clip:
-        """Make one clip of several sentences, one after another, stitched where poses are alike (`motion.blending`).
+        """Make one clip of several sentences, one after another, blended where poses are alike (`motion.blending`).
+
+        Each part is made longer than asked by what the blends at its ends need, so that it keeps its length to 0.5 s.
 
         Args:
-            texts: 1 to 32 sentences or graphs; sentence k is generated with seed + k.
-            seconds: of each part, before the joins: one length, one per sentence, or None for what each asks for.
+            texts: 1 to `limits.MAX_PARTS` sentences or graphs; sentence k is generated with seed + k.
+            seconds: of each part: one length, one per sentence, or None for what each asks for.
             seed, steps, guidance, foot_fix: as in `generate`.
             on_step: as in `generate`; its `done` and `total` are those of all parts.
 
@@ -254,22 +262,30 @@ class MotionPipeline:
             for length in lengths
         ]
         graphs = [self.as_graph(text) for text in texts]
-        seeds = batch_seeds(options[0].seed, len(texts), takes=1)
-        clips = [
-            self.generate(
-                graph,
-                seconds=length,
-                seed=part_seed,
-                steps=steps,
-                guidance=guidance,
-                foot_fix=foot_fix,
-                on_step=subrange_progress(on_step, index, len(texts)),
+        seeds = batch_seeds(options[0].seed, len(texts), takes=1, most=MAX_PARTS)
+        if len(graphs) == 1:
+            plan = SamplingPlan.for_graph(graphs[0])
+            conditions, only = self._encode(plan, options[0], own_length=lengths[0] is None)
+            return self._sample(graphs[0], plan, conditions, only, on_step)
+        clips, leads, frames = [], [], []
+        for index, (graph, length) in enumerate(zip(graphs, lengths, strict=True)):
+            plan = SamplingPlan.for_graph(graph)
+            conditions, part = self._encode(plan, options[index], own_length=length is None)
+            lead, sampled = with_margins(
+                part,
+                self.manifest,
+                first=index == 0,
+                last=index == len(graphs) - 1,
+                margin=blend_margin(self.manifest.fps),
             )
-            for index, (graph, length, part_seed) in enumerate(zip(graphs, lengths, seeds, strict=True))
-        ]
-        joints = stitch([clip.joints for clip in clips], self.manifest.fps, foot_fix=foot_fix)
-        graph = clips[0].graph if len(clips) == 1 else None
-        return replace(clips[0], joints=joints, text=sequence_caption([clip.text for clip in clips]), graph=graph)
+            progress = subrange_progress(on_step, index, len(graphs))
+            clips.append(self._sample(graph, plan, conditions, replace(sampled, seed=seeds[index]), progress))
+            leads.append(lead)
+            frames.append(part.frames)
+        joints = stitch(
+            [clip.joints for clip in clips], self.manifest.fps, leads=leads, lengths=frames, foot_fix=foot_fix
+        )
+        return replace(clips[0], joints=joints, text=sequence_caption([clip.text for clip in clips]), graph=None)
 
     def compose(
         self,
@@ -348,6 +364,44 @@ class MotionPipeline:
         if own_length:
             options = self.encoder.with_length(options, [features[index] for index in plan.length_from])
         return self.encoder.attend(features), options
+
+    def _sample(
+        self,
+        graph: SemanticGraph,
+        plan: SamplingPlan,
+        conditions: Conditions,
+        options: GenerateOptions,
+        on_step: OnStep | None = None,
+        on_latent: OnLatent | None = None,
+    ) -> Clip:
+        """Sample latents for one graph and decode them."""
+        weights = None if plan.is_plain else plan.weights
+        latents = self.sampler.sample(conditions, weights, [options], on_step, on_latent)
+        return replace(self.decoder.decode(latents, [options], [graph.caption])[0], graph=graph)
+
+    def _sample_together(
+        self,
+        graphs: Sequence[SemanticGraph],
+        options: Sequence[GenerateOptions],
+        seeds: Sequence[int],
+        takes: int,
+        lengths: Sequence[float | None],
+        on_step: OnStep | None,
+    ) -> list[Clip]:
+        """Make all clips of a batch in shared runs."""
+        if any(node.weight != 1 for graph in graphs for node in graph.nodes):
+            raise InvalidInputError("clips that share one run cannot weigh edges; leave out shared_run")
+        features = self.encoder.encode_text(graphs)
+        sized = [
+            self.encoder.with_length(option, [feature]) if length is None else option
+            for option, feature, length in zip(options, features, lengths, strict=True)
+        ]
+        conditions = repeat_rows(self.encoder.attend(features), takes)
+        samples = [replace(sized[index // takes], seed=value) for index, value in enumerate(seeds)]
+        sampled_graphs = [graph for graph in graphs for _ in range(takes)]
+        latents = self.sampler.sample(conditions, None, samples, on_step)
+        clips = self.decoder.decode(latents, samples, [graph.caption for graph in sampled_graphs])
+        return [replace(clip, graph=graph) for clip, graph in zip(clips, sampled_graphs, strict=True)]
 
     def _on_latent(self, on_level: OnLevel | None, options: GenerateOptions, caption: str) -> OnLatent:
         """Make the sampler's callback that decodes each coarser level for `on_level`."""

@@ -66,7 +66,7 @@ def generate_clips(pipe: MotionPipeline) -> dict[str, Any]:
         "without the foot fix": pipe.generate(GRAPH, foot_fix=False, **length),
         "a weighted edge": pipe.generate(weighted, **length),
         "compose": pipe.compose([Concept(GRAPH), Concept(weighted, -0.5)], text=GRAPH, **length),
-        "a batch": pipe.batch([GRAPH, GRAPH], **length)[1],
+        "a batch": pipe.batch([GRAPH, GRAPH], shared_run=True, **length)[1],
     }
     return {name: clip.joints for name, clip in clips.items()}
 

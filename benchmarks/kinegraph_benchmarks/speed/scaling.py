@@ -48,7 +48,7 @@ def batch_arms(pipe: MotionPipeline) -> dict[str, Arm]:
 
     def run(count: int) -> object:
         batch = [graphs[index % len(graphs)] for index in range(count)]
-        return pipe.batch(batch, seconds=4, seed=1)
+        return pipe.batch(batch, seconds=4, seed=1, shared_run=True)
 
     return {f"batch of {n}": lambda n=n: run(n) for n in BATCHES}  # type: ignore[misc]
 

@@ -17,7 +17,7 @@ from typing import Final
 
 import numpy as np
 
-from kinegraph.arrays import FloatArray, Floats
+from kinegraph.arrays import FloatArray, Floats, IntArray
 from kinegraph.errors import InvalidInputError
 from kinegraph.motion.kinematics import forward_kinematics, rotations_from_positions
 from kinegraph.motion.postprocess import enforce_bone_lengths, lock_feet
@@ -31,8 +31,8 @@ BLEND_SECONDS: Final = (0.5, 0.7, 0.9, 1.1)
 """Durations to try for a blend, shortest first; hands that have far to go need longer."""
 CALM: Final = 1.6
 """Largest acceleration allowed in a blend, in 95 % quantiles of the accelerations of both clips."""
-MIN_KEPT: Final = 0.6
-"""Share of a clip that no transition may cut away at either end."""
+MAX_SHIFT: Final = 0.2
+"""Seconds by which a blend may move away from where two parts meet, in either clip."""
 
 MIN_LOOP: Final = 0.5
 """Share of a clip that a loop keeps at least."""
@@ -64,25 +64,50 @@ class Blend:
         return float(changed.max(initial=0.0))
 
 
-def stitch(clips: Sequence[FloatArray], fps: float, *, foot_fix: bool = True) -> FloatArray:
+def stitch(
+    clips: Sequence[FloatArray],
+    fps: float,
+    *,
+    leads: Sequence[int] | None = None,
+    lengths: Sequence[int] | None = None,
+    foot_fix: bool = True,
+) -> FloatArray:
     """Join clips into one motion, each turned and moved to go on where the one before it leaves off.
+
+    Part k lasts `lengths[k]` frames; a blend is centred where two parts meet, and moves by `MAX_SHIFT` seconds at most
+    to where poses are alike. Clips that reach beyond their part by `blend_margin` on both sides lose nothing of it.
 
     Args:
         clips: (frames, 22, 3) metres each, of one body; at least one.
         fps: frames per second of all clips.
+        leads: frames of each clip before its part begins; none unless given.
+        lengths: frames of each part; all that follows the lead unless given.
         foot_fix: lock planted feet, also during the blends.
 
     Returns:
-        (frames, 22, 3) metres; shorter than all clips together by the blends and by what the transitions cut away.
+        (frames, 22, 3) metres: as long as all parts together if the clips reach beyond them, else shorter by what the
+        blends need.
     """
-    motion = clips[0]
     if len(clips) == 1:
-        return motion
-    lengths = np.median(np.concatenate([bone_lengths(clip) for clip in clips]), axis=0).astype(np.float32)
-    for clip in clips[1:]:
-        motion = best_blend(motion, clip, fps).joints
-    motion = enforce_bone_lengths(motion, lengths)
+        return clips[0]
+    leads = [0] * len(clips) if leads is None else leads
+    lengths = [len(clip) - lead for clip, lead in zip(clips, leads, strict=True)] if lengths is None else lengths
+    bones = np.median(np.concatenate([bone_lengths(clip) for clip in clips]), axis=0).astype(np.float32)
+    finished: list[FloatArray] = []
+    current, offset, boundary = clips[0], 0, 0  # offset: frame of the whole motion at which `current` begins
+    for clip, lead, length in zip(clips[1:], leads[1:], lengths, strict=False):
+        boundary += length  # counted from the start, so that shifts do not add up
+        blend = best_blend(current, clip, fps, end=boundary - offset, start=lead)
+        finished.append(blend.joints[: blend.start])
+        current, offset = blend.joints[blend.start :], offset + blend.start
+    motion = np.concatenate([*finished, current])[: sum(lengths)]
+    motion = enforce_bone_lengths(motion, bones)
     return lock_feet(motion, fps) if foot_fix else motion
+
+
+def blend_margin(fps: float) -> int:
+    """Return the frames that a clip needs beyond its part so that a blend takes nothing away from the part."""
+    return round((max(BLEND_SECONDS) / 2 + MAX_SHIFT) * fps)
 
 
 def make_loop(joints: FloatArray, fps: float, *, foot_fix: bool = True) -> FloatArray:
@@ -167,51 +192,66 @@ def smoothstep(share: Floats) -> Floats:
     return np.asarray(share * share * (3 - 2 * share))
 
 
-def best_blend(first: FloatArray, second: FloatArray, fps: float) -> Blend:
+def best_blend(first: FloatArray, second: FloatArray, fps: float, *, end: int | None = None, start: int = 0) -> Blend:
     """Blend two clips over the shortest of `BLEND_SECONDS` that is `CALM`, or else over the calmest.
 
     Args:
         first, second: (frames, 22, 3) metres each.
         fps: frames per second of both.
+        end: frame of `first` at which its part ends; its last unless given.
+        start: frame of `second` at which its part starts.
 
     Returns:
         The blended motion, in the world frame of `first`.
     """
+    end = len(first) if end is None else end
     accelerations = np.concatenate([[0.0], *(peak_accelerations(clip, fps) for clip in (first, second))])
     limit = CALM * float(np.quantile(accelerations, 0.95))
     blends: list[Blend] = []
     for seconds in BLEND_SECONDS:
         window = max(2, min(round(seconds * fps), len(first) // 2, len(second) // 2))
-        blends.append(_blend(first, second, window, fps))
+        a, b = best_transition(first, second, window, fps, end=end, start=start)
+        blends.append(_blend(first, second, a, b, window, fps))
         if blends[-1].peak_acceleration(fps) <= limit:
             return blends[-1]
     return min(blends, key=lambda blend: blend.peak_acceleration(fps))
 
 
-def best_transition(first: FloatArray, second: FloatArray, window: int, fps: float) -> tuple[int, int]:
-    """Find the frames (a, b) for which `first[a : a + window]` blends best into `second[b : b + window]`.
+def best_transition(
+    first: FloatArray, second: FloatArray, window: int, fps: float, *, end: int, start: int
+) -> tuple[int, int]:
+    """Find frames (a, b) near a boundary: `first[a : a + window]` blends best into `second[b : b + window]`.
 
-    The cost is the distance of `matching_features` at both ends of the window.
+    The middle of the window lies within `MAX_SHIFT` seconds of the boundary in both clips, or as near to it as the
+    clips reach. The cost is the distance of `matching_features` at both ends of the window.
 
     Args:
         first, second: (frames, 22, 3) metres each.
         window: frames of the blend.
         fps: frames per second of both.
+        end: boundary in `first`.
+        start: boundary in `second`.
     """
     first_features, second_features = matching_features(first, fps), matching_features(second, fps)
-    a = np.arange(min(len(first) - window, round(MIN_KEPT * len(first))), len(first) - window + 1)
-    b = np.arange(0, max(1, min(len(second) - window, round((1 - MIN_KEPT) * len(second))) + 1))
+    shift = round(MAX_SHIFT * fps)
+    a = _search_range(end - window // 2, shift, len(first) - window)
+    b = _search_range(start - window // 2, shift, len(second) - window)
     cost = np.zeros((len(a), len(b)))
-    for shift in (0, window - 1):
-        difference = first_features[a + shift][:, None] - second_features[b + shift][None]
+    for edge in (0, window - 1):
+        difference = first_features[a + edge][:, None] - second_features[b + edge][None]
         cost += np.linalg.norm(difference, axis=-1).mean(axis=-1)
     row, column = np.unravel_index(np.argmin(cost), cost.shape)
     return int(a[row]), int(b[column])
 
 
-def _blend(first: FloatArray, second: FloatArray, window: int, fps: float) -> Blend:
-    """Blend two clips over `window` frames at their best transition."""
-    a, b = best_transition(first, second, window, fps)
+def _search_range(target: int, shift: int, last: int) -> IntArray:
+    """List the frames of 0 .. last that are within `shift` of `target`, or of the nearest frame that there is."""
+    nearest = min(max(target, 0), last)
+    return np.arange(max(nearest - shift, 0), min(nearest + shift, last) + 1)
+
+
+def _blend(first: FloatArray, second: FloatArray, a: int, b: int, window: int, fps: float) -> Blend:
+    """Blend `first[a : a + window]` into `second[b : b + window]`, with all that comes before and after."""
     end, start = first[a : a + window].astype(np.float64), second[b:].astype(np.float64)
     # align the second clip: same heading and same position over the floor in the middle of the window
     middle = window // 2
