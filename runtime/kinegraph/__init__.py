@@ -26,6 +26,7 @@ if TYPE_CHECKING:
         InvalidInputError,
         KinegraphError,
         MissingExtraError,
+        ModelError,
         NonFiniteError,
         OutputError,
     )
@@ -50,6 +51,7 @@ _MODULES: Final[dict[str, str]] = {
     "InvalidInputError": "kinegraph.errors",
     "KinegraphError": "kinegraph.errors",
     "MissingExtraError": "kinegraph.errors",
+    "ModelError": "kinegraph.errors",
     "MotionPipeline": "kinegraph.pipeline",
     "NonFiniteError": "kinegraph.errors",
     "OutputError": "kinegraph.errors",
@@ -68,6 +70,7 @@ __all__ = [
     "InvalidInputError",
     "KinegraphError",
     "MissingExtraError",
+    "ModelError",
     "MotionPipeline",
     "NonFiniteError",
     "OutputError",

@@ -10,19 +10,18 @@ node that the edge leads to.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import accumulate, chain
-from numbers import Real
 from typing import Any, Final
 
 from kinegraph.diffusion.composition import CompositionWeights
 from kinegraph.edits import with_weight, without
 from kinegraph.errors import InvalidInputError
 from kinegraph.graph import SemanticGraph
-from kinegraph.limits import MAX_CONCEPTS
+from kinegraph.limits import MAX_CONCEPTS, MAX_ROWS
 from kinegraph.text.parser import check_caption
+from kinegraph.validation import finite_number, short_repr
 
 METHODS: Final = ("latent", "semantic", "fused")
 DEFAULT_LAMBDAS: Final = (0.0, 0.1, 0.9)
@@ -73,9 +72,9 @@ class Concept:
     def __post_init__(self) -> None:
         if not isinstance(self.text, SemanticGraph):
             check_caption(self.text)
-        weight = self.weight
-        if isinstance(weight, bool) or not isinstance(weight, Real) or not math.isfinite(weight):
-            raise InvalidInputError(f"the weight of a concept must be a finite number, not {weight!r}")
+        weight = finite_number(self.weight)
+        if weight is None:
+            raise InvalidInputError(f"the weight of a concept must be a finite number, not {short_repr(self.weight)}")
         if weight == 0 or abs(weight) > MAX_WEIGHT:
             raise InvalidInputError(
                 f"the weight of a concept must be -{MAX_WEIGHT:g} to {MAX_WEIGHT:g} and not 0, not {weight:g}; "
@@ -147,10 +146,17 @@ def validate_composition(concepts: object, method: object, text: Any, lambdas: o
     return CompositionSpec(wanted, negated, joint, shares, _validate_step_sizes(agd))
 
 
+def _short(values: object) -> str:
+    """Describe a value for a message, and the numbers of a short list or tuple."""
+    if isinstance(values, list | tuple) and len(values) <= 4:
+        return f"({', '.join(short_repr(value) for value in values)})"
+    return short_repr(values)
+
+
 def _validate_step_sizes(agd: object) -> tuple[float, float]:
     if agd is None:
         return 0.0, 0.0
-    wrong = f"agd must be two step sizes from 0 to {MAX_STEP_SIZE:g}, like (0.0004, 0.0004), not {agd!r}"
+    wrong = f"agd must be two step sizes from 0 to {MAX_STEP_SIZE:g}, like (0.0004, 0.0004), not {_short(agd)}"
     if not isinstance(agd, list | tuple) or len(agd) != 2:
         raise InvalidInputError(wrong)
     for value in agd:
@@ -168,12 +174,12 @@ def validate_lambdas(
     Raises:
         InvalidInputError: see `validate_composition`.
     """
-    if method not in METHODS:
-        raise InvalidInputError(f"method must be one of {', '.join(METHODS)}, not {method!r}")
+    if not isinstance(method, str) or method not in METHODS:
+        raise InvalidInputError(f"method must be one of {', '.join(METHODS)}, not {short_repr(method)}")
     for name, value in (("lambdas", lambdas), ("text", text)):
         if value is not None and method != "fused":
-            raise InvalidInputError(f"{name} is for method 'fused'; method {method!r} has none")
-    shares = {"latent": (1.0, 0.0, 0.0), "semantic": (0.0, 1.0, 0.0), "fused": _validate_shares(lambdas)}[str(method)]
+            raise InvalidInputError(f"{name} is for method 'fused'; method {short_repr(method)} has none")
+    shares = {"latent": (1.0, 0.0, 0.0), "semantic": (0.0, 1.0, 0.0), "fused": _validate_shares(lambdas)}[method]
     if shares[1]:
         total = sum(concept.weight for concept in concepts)
         size = sum(abs(concept.weight) for concept in concepts)
@@ -189,7 +195,7 @@ def validate_lambdas(
 def _validate_shares(lambdas: object) -> tuple[float, float, float]:
     if lambdas is None:
         return DEFAULT_LAMBDAS
-    wrong = f"lambdas must be three numbers from 0 to 1 that sum to 1, not {lambdas!r}"
+    wrong = f"lambdas must be three numbers from 0 to 1 that sum to 1, not {_short(lambdas)}"
     if not isinstance(lambdas, list | tuple) or len(lambdas) != 3:
         raise InvalidInputError(wrong)
     for value in lambdas:
@@ -215,13 +221,24 @@ def joint_caption(concepts: Sequence[Concept]) -> str | SemanticGraph:
 
 @dataclass(frozen=True)
 class SamplingPlan:
-    """The graphs that one clip is sampled from, and the weights of their noise predictions."""
+    """The graphs that one clip is sampled from, and the weights of their noise predictions.
+
+    Raises:
+        InvalidInputError: more than `limits.MAX_ROWS` graphs.
+    """
 
     graphs: tuple[SemanticGraph, ...]
     """Without edge weights, in the order of the weights."""
     weights: CompositionWeights
     length_from: tuple[int, ...]
     """Indices of the graphs whose sentences tell the length of the clip."""
+
+    def __post_init__(self) -> None:
+        if len(self.graphs) > MAX_ROWS:
+            raise InvalidInputError(
+                f"the weights on edges expand this request to {len(self.graphs)} graphs, and {MAX_ROWS} at most share "
+                "a run; give fewer edges a weight other than 1, or compose fewer concepts"
+            )
 
     @property
     def is_plain(self) -> bool:

@@ -16,10 +16,10 @@ import numpy as np
 import onnxruntime
 from numpy.typing import NDArray
 
-from kinegraph.arrays import DoubleArray, FloatArray, IntArray, require_finite
+from kinegraph.arrays import DoubleArray, FloatArray, IntArray
 from kinegraph.bundle.contract import NODE_KINDS, NULL_KIND, PADDING_BIAS
 from kinegraph.bundle.manifest import Manifest
-from kinegraph.bundle.sessions import Sessions
+from kinegraph.bundle.sessions import Sessions, run_model
 from kinegraph.bundle.tables import DURATION
 from kinegraph.graph import MOTION_ACTION, OTHERS, ROLE_INDEX, SemanticGraph
 from kinegraph.options import GenerateOptions
@@ -85,10 +85,10 @@ class ConditionEncoder:
         """Let the nodes of each graph attend to their neighbours (GraphMotion, Eq. 1-3); one row for each graph.
 
         Raises:
-            NonFiniteError: the graph encoder produced NaN or infinity.
+            ModelError, NonFiniteError: see `bundle.sessions.run_model`.
         """
-        (nodes,) = self.sessions.graph_encoder.run(["nodes_out"], pad_graphs(features))
-        return make_conditions(features, require_finite(nodes, "the graph encoder"))
+        (nodes,) = run_model(self.sessions.graph_encoder, ["nodes_out"], pad_graphs(features), "the graph encoder")
+        return make_conditions(features, nodes)
 
     def with_length(self, options: GenerateOptions, features: Sequence[GraphArrays]) -> GenerateOptions:
         """Replace the length by the one that the longest of some sentences asks for.
@@ -119,7 +119,7 @@ def encode_caption(
     """
     tokens = tokenizer.encode(graph.caption)
     inputs = {"input_ids": np.array([tokens.ids]), "attention_mask": np.array([tokens.mask])}
-    hidden, pooled = text_encoder.run(["hidden", "pooled"], inputs)
+    hidden, pooled = run_model(text_encoder, ["hidden", "pooled"], inputs, "the text encoder")
     return node_features(graph, tokens, hidden[0], pooled[0])
 
 

@@ -9,10 +9,10 @@ from typing import Final
 import numpy as np
 import onnxruntime
 
-from kinegraph.arrays import FloatArray, require_finite
+from kinegraph.arrays import FloatArray
 from kinegraph.bundle.contract import LEVELS
 from kinegraph.bundle.manifest import Manifest
-from kinegraph.bundle.sessions import Sessions
+from kinegraph.bundle.sessions import Sessions, run_model
 from kinegraph.clip import Clip
 from kinegraph.motion.features import joints_from_features
 from kinegraph.motion.humanml3d import joints_from_humanml3d
@@ -41,7 +41,7 @@ class MotionDecoder:
         """Decode latents (B, C, z) of a level into B clips; feet are locked where the options want it.
 
         Raises:
-            NonFiniteError: the decoder produced NaN or infinity.
+            ModelError, NonFiniteError: see `bundle.sessions.run_model`.
         """
         frames, fps = [sample.frames for sample in options], self.manifest.fps
         motions = decode_joints(self.sessions.decoder_of(level), self.manifest, self.bones, latents, frames)
@@ -69,16 +69,17 @@ def decode_joints(
         frames: of each sample.
 
     Raises:
-        NonFiniteError: the decoder produced NaN or infinity.
+        ModelError, NonFiniteError: see `bundle.sessions.run_model`.
     """
     group = manifest.frames.per_token
     longest = -(-max(frames) // group) * group  # rounded up to whole groups of frames
     frame_mask = np.zeros((len(frames), longest), dtype=np.float32)
     for row, count in enumerate(frames):
         frame_mask[row, :count] = 1.0
-    (normalised,) = decoder.run(["features"], {"latent": latents, "frame_mask": frame_mask})
+    inputs = {"latent": latents, "frame_mask": frame_mask}
+    (normalised,) = run_model(decoder, ["features"], inputs, "the decoder")
     mean, std = (np.array(part, dtype=np.float32) for part in (manifest.features.mean, manifest.features.std))
-    features = require_finite(normalised, "the decoder") * std + mean
+    features = normalised * std + mean
     joints_from = _JOINTS_FROM[manifest.features.layout]
     motions = [joints_from(rows[:count]) for rows, count in zip(features, frames, strict=True)]
     return [enforce_bone_lengths(joints, bones) for joints in motions]

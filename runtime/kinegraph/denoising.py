@@ -22,11 +22,12 @@ from typing import Any
 
 import numpy as np
 import onnxruntime
+from numpy.typing import NDArray
 
-from kinegraph.arrays import FloatArray, IntArray
+from kinegraph.arrays import FloatArray, IntArray, require_finite
 from kinegraph.bundle.contract import LEVELS
 from kinegraph.bundle.manifest import Manifest
-from kinegraph.bundle.sessions import Sessions
+from kinegraph.bundle.sessions import Sessions, run_model
 from kinegraph.conditioning import Conditions, drop_all, drop_text, for_level, stack_rows
 from kinegraph.diffusion.composition import (
     AttentionRouting,
@@ -46,8 +47,9 @@ from kinegraph.diffusion.sampling import (
     ddim_step,
     guide,
     initial_noise,
+    is_stop,
 )
-from kinegraph.errors import Cancelled, InvalidInputError, NonFiniteError
+from kinegraph.errors import Cancelled, InvalidInputError
 from kinegraph.options import GenerateOptions
 
 MakePredictor = Callable[[str, DdimCoefficients, FloatArray | None], PredictNoise]
@@ -94,15 +96,11 @@ def sample_hierarchy(
             prediction = predict_noise(latents, index)
             # 4. DDIM step, z_t -> z_{t-1}
             latents = ddim_step(latents, prediction, ddim, index)
-            if not np.isfinite(latents).all():
-                raise NonFiniteError(
-                    f"level {level.name}: the latent is not finite after step {index + 1}; "
-                    "the bundle's weights are broken"
-                )
+            require_finite(latents, f"step {index + 1} of level {level.name}")
             # 5. Report; the caller may cancel
             done += 1
             info = StepInfo(level.name, index + 1, level.steps, done, total, int(timestep))
-            if on_step is not None and on_step(info) is False:
+            if on_step is not None and is_stop(on_step(info)):
                 raise Cancelled(f"stopped by on_step at step {done} of {total}")
         # 6. The next level sees the final latents of this one
         results.append(latents)
@@ -291,8 +289,7 @@ class NoisePredictor:
     def __call__(self, latents: FloatArray, index: int) -> FloatArray:
         """Predict the noise of R latent rows (R, C, z) at step `index`."""
         inputs = {"latent": latents, "modulation": self.modulation[index], **self.constant}
-        noise: FloatArray = self.step.run(["noise"], inputs)[0]
-        return noise
+        return run_model(self.step, ["noise"], inputs, "the denoiser")[0]
 
 
 def adaln_modulation(clock: onnxruntime.InferenceSession, timesteps: IntArray, frames: IntArray) -> FloatArray:
@@ -308,7 +305,8 @@ def adaln_modulation(clock: onnxruntime.InferenceSession, timesteps: IntArray, f
         for each row.
     """
     lengths, row = np.unique(frames, return_inverse=True)
-    modulation: FloatArray = clock.run(["modulation"], {"timestep": timesteps, "frames": lengths})[0]
+    inputs = {"timestep": timesteps, "frames": lengths}
+    (modulation,) = run_model(clock, ["modulation"], inputs, "the adaLN modulation")
     return modulation if len(lengths) == 1 else modulation[:, row]
 
 
@@ -332,14 +330,14 @@ def bind_step_inputs(
         modulation: see `adaln_modulation`.
         gamma: (A, 2) step sizes of adaptive gradient descent, for its graphs.
     """
-    inputs = {"nodes": contexts.nodes, "kind": contexts.kind, "order": contexts.order}
+    inputs: dict[str, NDArray[Any]] = {"nodes": contexts.nodes, "kind": contexts.kind, "order": contexts.order}
     bias = contexts.bias
     if coarse is not None:
         inputs["coarse"] = coarse
         bias = np.concatenate([bias, np.repeat(contexts.coarse_bias, coarse.shape[1], axis=1)], axis=1)
     names = [output.name for output in context.get_outputs()]
     # key_i, value_i (K, h, S, d/h) of every layer, or the projected context (K, S, d) for AGD
-    attended = dict(zip(names, context.run(names, inputs), strict=True))
+    attended = dict(zip(names, run_model(context, names, inputs, "the context encoder"), strict=True))
     latent_tokens = step.get_inputs()[0].shape[1]
     constant: dict[str, Any] = {
         **{name: value[routing.context] for name, value in attended.items()},

@@ -19,7 +19,7 @@ from kinegraph.conditioning import Conditions
 from kinegraph.denoising import LatentSampler, sample_hierarchy
 from kinegraph.diffusion.composition import CompositionWeights
 from kinegraph.diffusion.energy import SAME, EnergyMap, EnergyMaps, noise_field, plane_through, potential
-from kinegraph.diffusion.sampling import OnStep, StepInfo, ddim_coefficients, initial_noise
+from kinegraph.diffusion.sampling import OnStep, StepInfo, ddim_coefficients, initial_noise, is_stop
 from kinegraph.errors import Cancelled
 from kinegraph.graph import SemanticGraph
 from kinegraph.options import GenerateOptions, Guidance, Steps, resolve_options
@@ -48,7 +48,7 @@ class _RowProgress:
     def report(self) -> None:
         self.done += 1
         info = StepInfo("energy", self.done, self.total, self.done, self.total, self.timestep)
-        if self.on_step is not None and self.on_step(info) is False:
+        if self.on_step is not None and is_stop(self.on_step(info)):
             raise Cancelled(f"stopped by on_step at row {self.done} of {self.total} of the energy maps")
 
 

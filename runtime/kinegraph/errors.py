@@ -38,6 +38,10 @@ class OutputError(KinegraphError, OSError):
     """The result cannot be written to the path that the caller chose."""
 
 
+class ModelError(KinegraphError, RuntimeError):
+    """A model, a tokenizer or a parser failed while it ran; the message names it and the reason."""
+
+
 class NonFiniteError(KinegraphError, ArithmeticError):
     """A model produced NaN or infinity; the message names the stage."""
 

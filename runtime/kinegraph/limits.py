@@ -22,5 +22,8 @@ MAX_TAKES: Final = 64
 MAX_PARTS: Final = 256
 """Sentences of one sequence."""
 
+MAX_ROWS: Final = 64
+"""Graphs whose noise predictions make up one clip: concepts, joint text, and those of weighted edges."""
+
 MAX_CONCEPTS: Final = 8
 """Concepts of one composition."""

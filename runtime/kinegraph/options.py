@@ -6,12 +6,10 @@ sequence or a batch, have lengths, seeds and captions of their parts.
 
 from __future__ import annotations
 
-import math
 import re
 import secrets
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from numbers import Integral, Real
 from types import MappingProxyType
 from typing import Any, Final, TypeVar
 
@@ -19,6 +17,7 @@ from kinegraph.bundle.contract import LEVELS
 from kinegraph.bundle.manifest import Manifest, ScheduleSpec
 from kinegraph.errors import InvalidInputError
 from kinegraph.limits import MAX_TAKES
+from kinegraph.validation import finite_number, short_repr, whole_number
 
 MAX_GUIDANCE: Final = 20.0
 MAX_SEED: Final = 2**63
@@ -166,31 +165,11 @@ def _validate_flag(value: object, name: str) -> bool:
     return value
 
 
-def whole_number(value: object) -> int | None:
-    """Return a value as an int, or None if it is not a whole number."""
-    # bool is an int to Python, but nobody means seed=True; numpy's integers are Integral.
-    return int(value) if isinstance(value, Integral) and not isinstance(value, bool) else None
-
-
 def _validate_finite(value: object, name: str, allowed: str) -> float:
-    if isinstance(value, bool) or not isinstance(value, Real):
+    number = finite_number(value)
+    if number is None:
         raise InvalidInputError(f"{name} {allowed}, not {short_repr(value)}")
-    try:
-        number = float(value)
-    except OverflowError:  # an integer beyond 1e308
-        number = math.inf
-    if not math.isfinite(number):
-        raise InvalidInputError(f"{name} {allowed}, not {number}")
     return number
-
-
-def short_repr(value: object) -> str:
-    """Describe a value briefly for a message, whatever the caller passed: some reprs are megabytes, some raise."""
-    if isinstance(value, int) and abs(value) >= 10**40:
-        return "a number of more than 40 digits"
-    if value is None or isinstance(value, str | int | float):
-        return repr(value)[:80]
-    return f"a value of type {type(value).__name__}"
 
 
 def batch_seeds(first: int, texts: int, takes: object, most: int = MAX_TAKES) -> list[int]:

@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import os
 import threading
-from collections.abc import Callable, Mapping, MutableMapping
+from collections.abc import Callable, Mapping, MutableMapping, Sequence
 from dataclasses import dataclass
 from types import MappingProxyType
-from typing import Final
+from typing import Any, Final
 
 import onnxruntime
+from numpy.typing import NDArray
 from onnxruntime.capi import onnxruntime_pybind11_state as _state
 
+from kinegraph.arrays import FloatArray, require_finite
 from kinegraph.bundle.contract import (
     AGD_CONTEXTS,
     AGD_DENOISERS,
@@ -21,7 +23,8 @@ from kinegraph.bundle.contract import (
     check_signature,
 )
 from kinegraph.bundle.reader import Bundle
-from kinegraph.errors import BundleError, InvalidInputError
+from kinegraph.errors import BundleError, InvalidInputError, KinegraphError, ModelError
+from kinegraph.validation import short_repr
 
 MAX_THREADS: Final = 256
 
@@ -195,9 +198,39 @@ def open_session(
     return session
 
 
+def run_model(
+    session: onnxruntime.InferenceSession, outputs: Sequence[str], inputs: Mapping[str, NDArray[Any]], model: str
+) -> list[FloatArray]:
+    """Run a session; its errors are typed and its outputs finite.
+
+    NaN must not go on: an int8 graph turns NaN in its inputs into ordinary numbers.
+
+    Args:
+        session: of one graph.
+        outputs: names of the outputs wanted.
+        inputs: arrays by name.
+        model: what the graph is, for messages.
+
+    Raises:
+        ModelError: onnxruntime refuses the inputs, fails, or runs out of memory.
+        NonFiniteError: an output holds NaN or infinity.
+    """
+    try:
+        results: list[FloatArray] = session.run(list(outputs), dict(inputs))
+    except KinegraphError:
+        raise
+    except MemoryError as error:
+        raise ModelError(f"{model} ran out of memory; ask for fewer or shorter clips at once") from error
+    except ORT_ERRORS as error:
+        raise ModelError(f"{model} failed in onnxruntime {onnxruntime.__version__}: {error}") from error
+    for values in results:
+        require_finite(values, model)
+    return results
+
+
 def _thread_count(threads: int | None, default: int) -> int:
     if threads is None:
         return default
     if isinstance(threads, bool) or not isinstance(threads, int) or not 1 <= threads <= MAX_THREADS:
-        raise InvalidInputError(f"threads must be a whole number from 1 to {MAX_THREADS}, not {threads!r}")
+        raise InvalidInputError(f"threads must be a whole number from 1 to {MAX_THREADS}, not {short_repr(threads)}")
     return threads

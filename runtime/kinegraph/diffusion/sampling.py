@@ -165,6 +165,11 @@ OnStep = Callable[[StepInfo], bool | None]
 """Called after every step; returning False stops the run."""
 
 
+def is_stop(answer: object) -> bool:
+    """Tell whether the answer of a callback stops the run: False does, None and 0 do not."""
+    return isinstance(answer, bool | np.bool_) and not answer
+
+
 def subrange_progress(on_step: OnStep | None, index: int, count: int) -> OnStep | None:
     """Make a callback for run `index` of `count` equal runs that reports the progress of all of them together."""
     if on_step is None:

@@ -1,0 +1,39 @@
+"""Checks of single values that callers pass, for all modules that take options.
+
+Python integers have no limit, and `repr` of a value may be huge or raise: nothing here does, whatever comes in.
+"""
+
+from __future__ import annotations
+
+import math
+from numbers import Integral, Real
+from typing import Final
+
+_LONGEST_REPR: Final = 80
+_LARGEST_SHOWN: Final = 10**40
+
+
+def short_repr(value: object) -> str:
+    """Describe a value briefly for a message, whatever the caller passed."""
+    if isinstance(value, int) and abs(value) >= _LARGEST_SHOWN:
+        return "a number of more than 40 digits"
+    if value is None or isinstance(value, str | int | float):
+        return repr(value if not isinstance(value, str) else value[:_LONGEST_REPR])[:_LONGEST_REPR]
+    return f"a value of type {type(value).__name__}"
+
+
+def whole_number(value: object) -> int | None:
+    """Return a value as an int, or None if it is not a whole number."""
+    # bool is an int to Python, but nobody means seed=True; numpy's integers are Integral
+    return int(value) if isinstance(value, Integral) and not isinstance(value, bool) else None
+
+
+def finite_number(value: object) -> float | None:
+    """Return a real number as a float, or None if it is not one, not finite, or beyond 1e308."""
+    if isinstance(value, bool) or not isinstance(value, Real):
+        return None
+    try:
+        number = float(value)
+    except OverflowError:  # an integer or fraction beyond 1e308
+        return None
+    return number if math.isfinite(number) else None
