@@ -13,8 +13,8 @@ from kinegraph_training.metrics import (
     bootstrap,
     distances,
     diversity,
-    frechet,
     frechet_distance,
+    gaussian_frechet,
     label_groups,
     matching_distance,
     multimodality,
@@ -75,10 +75,12 @@ def test_frechet_of_gaussians_in_closed_form() -> None:
     # Diagonal covariances: sum of (m - m')^2 + (s - s')^2.
     mean_a, mean_b, std_a, std_b = RNG(3).uniform(0.5, 2.0, (4, 6))
     expected = ((mean_a - mean_b) ** 2 + (std_a - std_b) ** 2).sum()
-    assert frechet(mean_a, np.diag(std_a**2), mean_b, np.diag(std_b**2)) == pytest.approx(expected, rel=1e-9)
+    assert gaussian_frechet(mean_a, np.diag(std_a**2), mean_b, np.diag(std_b**2)) == pytest.approx(expected, rel=1e-9)
     # Turning both by the same rotation changes nothing.
     turn, _ = np.linalg.qr(RNG(4).standard_normal((6, 6)))
-    turned = frechet(turn @ mean_a, turn @ np.diag(std_a**2) @ turn.T, turn @ mean_b, turn @ np.diag(std_b**2) @ turn.T)
+    turned = gaussian_frechet(
+        turn @ mean_a, turn @ np.diag(std_a**2) @ turn.T, turn @ mean_b, turn @ np.diag(std_b**2) @ turn.T
+    )
     assert turned == pytest.approx(expected, rel=1e-9)
 
 
@@ -87,7 +89,7 @@ def test_frechet_of_covariances_that_do_not_commute() -> None:
     a, b = (part @ part.T for part in RNG(5).standard_normal((2, 4, 4)))
     root = np.sqrt(np.linalg.eigvals(a @ b).real).sum()
     expected = np.trace(a) + np.trace(b) - 2 * root
-    assert frechet(np.zeros(4), a, np.zeros(4), b) == pytest.approx(expected, rel=1e-6)
+    assert gaussian_frechet(np.zeros(4), a, np.zeros(4), b) == pytest.approx(expected, rel=1e-6)
 
 
 def test_frechet_distance_of_samples() -> None:

@@ -1,6 +1,8 @@
-"""Small arrays that a run measures on its data and the exporter puts into the bundle's tables.npz.
+"""Small arrays that are measured on the training clips and end in the bundle's tables.npz.
 
-Fit the length of clips to their captions (`kinegraph.conditioning`), in closed form."""
+`fit_duration` fits the length of clips to their captions in closed form, for `kinegraph.conditioning`;
+`common_bone_lengths` measures the body, if all clips show the same.
+"""
 
 from __future__ import annotations
 
@@ -8,50 +10,62 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 
 import numpy as np
-from kinegraph.arrays import FloatArray
 from numpy.typing import NDArray
 
+from kinegraph.arrays import FloatArray
 from kinegraph.conditioning import GraphArrays, duration_inputs
 from kinegraph.motion.skeleton import bone_lengths
 
 FILE = "tables.npz"
 SAME_BODY = 1e-3
-"""Metres by which a bone may differ between clips of one body."""
+"""Standard deviation in metres up to which the bones of several clips count as those of one body."""
+RIDGE_PENALTY = 10.0
+"""L2 penalty of the duration fit; between 1 and 100 the error on held-out clips changes by a fifth."""
 
 
 def common_bone_lengths(clips: Iterable[FloatArray]) -> FloatArray | None:
-    """(1, 21) metres if all motions (frames, 22, 3) show one and the same body, else None."""
+    """Measure the bones that all clips share.
+
+    Args:
+        clips: joints (frames, 22, 3) in metres.
+
+    Returns:
+        (1, 21) metres, or None if the clips show different bodies.
+    """
     means = np.stack([bone_lengths(joints).mean(axis=0) for joints in clips])
     if means.std(axis=0).max() > SAME_BODY:
         return None
     return means.mean(axis=0, keepdims=True).astype(np.float32)
 
 
+def fit_duration(samples: Iterable[tuple[GraphArrays, int]]) -> NDArray[np.float32]:
+    """Fit log frames to `duration_inputs` by ridge regression.
+
+    Args:
+        samples: graph of a caption, and frames of a clip it describes.
+
+    Returns:
+        (1, D + 3) weights.
+    """
+    rows, targets = [], []
+    for graph, frames in samples:
+        rows.append(duration_inputs(graph))
+        targets.append(np.log(frames))
+    design = np.stack(rows)
+    gram = design.T @ design + RIDGE_PENALTY * np.eye(design.shape[1])
+    return np.linalg.solve(gram, design.T @ np.array(targets))[None].astype(np.float32)
+
+
 def write_tables(run: Path, tables: Mapping[str, FloatArray]) -> None:
-    """Beside the stages of a run."""
+    """Write the tables into the folder of a run, beside its stages."""
     run.mkdir(parents=True, exist_ok=True)
     np.savez(run / FILE, **dict(tables))
 
 
 def read_tables(run: Path) -> dict[str, FloatArray]:
-    """What `write_tables` wrote; nothing for a run without it."""
+    """Read the tables that `write_tables` wrote; a run without them has none."""
     path = run / FILE
     if not path.is_file():
         return {}
     with np.load(path, allow_pickle=False) as stored:
         return {name: stored[name] for name in stored.files}
-
-
-PENALTY = 10.0
-"""Of the ridge; between 1 and 100 the error on held-out clips moves by a fifth."""
-
-
-def fit_duration(pairs: Iterable[tuple[GraphArrays, int]]) -> NDArray[np.float32]:
-    """Ridge regression of log frames on `duration_inputs`: (1, D + 3), from (graph of a caption, frames) pairs."""
-    rows, targets = [], []
-    for graph, frames in pairs:
-        rows.append(duration_inputs(graph))
-        targets.append(np.log(frames))
-    design = np.stack(rows)
-    gram = design.T @ design + PENALTY * np.eye(design.shape[1])
-    return np.linalg.solve(gram, design.T @ np.array(targets))[None].astype(np.float32)

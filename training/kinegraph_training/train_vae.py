@@ -3,7 +3,8 @@
     python -m kinegraph_training.train_vae --level specific --data DATA/bandai --held-out DATA/held_out_pairs.json \
         --run runs/edge --preset edge
 
-Stopped runs go on where they were. Further flags are Lightning's own: `--devices 2 --strategy ddp`, `--num-nodes 2`.
+The same command resumes a stopped run. Further flags are those of `lightning.Trainer`: `--devices 2 --strategy ddp`,
+`--num-nodes 2`.
 """
 
 from __future__ import annotations
@@ -18,78 +19,87 @@ import torch
 from torch import Tensor
 from torch.utils.data import DataLoader
 
+from kinegraph.bundle.contract import LEVELS
 from kinegraph.errors import InvalidInputError
-from kinegraph.motion.features import joints_from_features
-from kinegraph.motion.skeleton import FEET
-from kinegraph_training.config import LEVELS, OptimiserConfig, Preset, read_preset
+from kinegraph_training.config import OptimiserConfig, Preset, read_preset
 from kinegraph_training.dataset import Dataset, training_set, validation_set
-from kinegraph_training.losses import SPECTRA, ReconstructionLoss, kl_divergence, path_loss, reconstruction_terms
-from kinegraph_training.models.vae import MotionVae, VaeConfig
+from kinegraph_training.losses import (
+    PATH_WINDOWS,
+    SPECTRUM_WINDOWS,
+    ReconstructionWeights,
+    kl_divergence,
+    path_loss,
+    reconstruction_terms,
+)
+from kinegraph_training.metrics import reconstruction_scores
+from kinegraph_training.models.vae import ENCODER_PARTS, MotionVae, VaeConfig
 from kinegraph_training.trainer import (
     add_common_arguments,
+    configure_optimiser,
     last_checkpoint,
     lightning_flags,
-    optimiser,
-    start_weights,
-    trainer,
+    load_start_weights,
+    make_trainer,
 )
-from kinegraph_training.vae_batches import FrameBudgetSampler, cropped, padded
+from kinegraph_training.vae_batches import FrameBudgetSampler, pad_clips, random_crop
 
 PATH_WEIGHT = 0.1
-"""Weight of the whole integral in the last third of a run, once poses are learnt."""
+"""Weight of `path_loss`, which is added in the last third of a run, once poses are learnt."""
 
 MOTION_TERMS = frozenset(
-    ("bones", "velocities", "accelerations", "feet", "window_8", "window_16", *(f"spectra_{size}" for size in SPECTRA))
+    (
+        *("bones", "velocities", "accelerations", "feet"),
+        *(f"window_{size}" for size in PATH_WINDOWS),
+        *(f"spectra_{size}" for size in SPECTRUM_WINDOWS),
+    )
 )
-"""Held back at first: while poses are still wrong, a body that stands still has the smallest velocity error, and a
-run that starts with these terms never leaves that answer (82 mm after 1,000 steps)."""
-
-
-ENCODER = frozenset(("patch_in", "query", "encoder", "to_mean", "to_log_variance"))
-"""Parts of an autoencoder that lead to its latent."""
+"""Terms that `motion_ramp` holds back at first. While poses are still wrong, a body that stands still has the smallest
+velocity error, and a run that starts with these terms never leaves that solution (82 mm after 1,000 steps)."""
 
 
 def motion_ramp(step: int, steps: int) -> float:
-    """Weight of MOTION_TERMS in a run from nothing: 0 for its first tenth, 1 from four tenths on."""
+    """Compute the weight of MOTION_TERMS in a run from random weights: 0 up to 10 % of its steps, 1 from 40 % on."""
     return min(1.0, max(0.0, (step / steps - 0.1) / 0.3))
 
 
 class VaeModule(L.LightningModule):
-    """The autoencoder, its normalisation and its loss."""
+    """Autoencoder with its normalisation and its loss."""
 
     def __init__(self, config: VaeConfig, training: OptimiserConfig, mean: list[float], std: list[float]) -> None:
         super().__init__()
         self.save_hyperparameters({"config": vars(config), "training": vars(training)})
         self.vae = MotionVae(config)
         self.training_config = training
-        self.weights = ReconstructionLoss()
-        self.poses_known = False
-        """Started from weights that know poses: MOTION_TERMS count from the first step."""
+        self.weights = ReconstructionWeights()
+        self.pretrained = False
+        """Whether the run started from trained weights: MOTION_TERMS then count from the first step."""
         self.register_buffer("mean", torch.tensor(mean))
         self.register_buffer("std", torch.tensor(std))
 
     def start_from(self, checkpoint: Path) -> None:
-        """Take the weights of another run's checkpoint, and the normalisation without which they mean nothing; the
-        schedule stays this run's own. Clips have to come under it too (`Dataset.under`).
+        """Load the weights and the normalisation of another run's checkpoint; the schedule stays this run's own.
+
+        The clips have to be brought under the loaded normalisation too (`Dataset.under`).
 
         Raises:
             InvalidInputError: no such file, or weights of another shape.
         """
-        start_weights(self, checkpoint, "")
-        self.poses_known = True
+        load_start_weights(self, checkpoint, "")
+        self.pretrained = True
 
-    def keep_encoder(self) -> None:
-        """Train the decoder alone: latents stay what they are, and with them denoisers trained on them."""
+    def freeze_encoder(self) -> None:
+        """Train the decoder alone, so that latents, and denoisers trained on them, stay valid."""
         for name, parameter in self.vae.named_parameters():
-            parameter.requires_grad_(name.split(".")[0] not in ENCODER)
+            parameter.requires_grad_(name.split(".")[0] not in ENCODER_PARTS)
 
     def training_step(self, batch: tuple[Tensor, Tensor], index: int) -> Tensor:
         features, mask = batch
         mean, log_variance = self.vae.encode(features, mask)
+        # Reparameterisation: z = mu + sigma eps
         latent = mean + torch.randn_like(mean) * torch.exp(0.5 * log_variance)
         decoded = self.vae.decode(latent, mask)
         with torch.autocast(self.device.type, enabled=False):
-            ramp = 1.0 if self.poses_known else motion_ramp(self.global_step, self.training_config.steps)
+            ramp = 1.0 if self.pretrained else motion_ramp(self.global_step, self.training_config.steps)
             terms = reconstruction_terms(decoded.float(), features, mask, self.std, self.mean, self.weights)
             terms = {name: value * ramp if name in MOTION_TERMS else value for name, value in terms.items()}
             terms["kl"] = self.weights.kl * kl_divergence(mean.float(), log_variance.float())
@@ -105,7 +115,7 @@ class VaeModule(L.LightningModule):
         decoded = self.vae.decode(self.vae.encode(features, mask)[0], mask).float()
         for predicted, target, row in zip(decoded, features, mask, strict=True):
             frames = int(row.sum())
-            raw = [(part[:frames] * self.std + self.mean).float().cpu().numpy() for part in (predicted, target)]
+            raw = [(clip[:frames] * self.std + self.mean).float().cpu().numpy() for clip in (predicted, target)]
             scores = reconstruction_scores(*raw)
             self.log_dict(
                 {f"val/{name}": value for name, value in scores.items()}, on_epoch=True, batch_size=1, on_step=False
@@ -113,55 +123,41 @@ class VaeModule(L.LightningModule):
             self.log("local_mm", scores["local_mm"], prog_bar=True, logger=False, on_epoch=True, batch_size=1)
 
     def configure_optimizers(self) -> Any:
-        return optimiser(self.vae, self.training_config, str(self.trainer.precision))
+        return configure_optimiser(self.vae, self.training_config, str(self.trainer.precision))
 
 
-def reconstruction_scores(predicted: np.ndarray, target: np.ndarray) -> dict[str, float]:
-    """Errors in mm (pose in the facing frame, and everything), jerk in m/s^3, foot skate in m/s."""
-    no_root = [rows.copy() for rows in (predicted, target)]
-    for rows in no_root:
-        rows[:, :3] = 0.0
-    local = [joints_from_features(rows) for rows in no_root]
-    world = [joints_from_features(rows) for rows in (predicted, target)]
-    feet = list(FEET)
-    step = np.linalg.norm(np.diff(world[0][:, feet][..., [0, 2]], axis=0), axis=-1) * 20.0
-    low = world[0][1:, feet, 1] < 0.05
-    return {
-        "local_mm": 1000 * float(np.linalg.norm(local[0] - local[1], axis=-1).mean()),
-        "global_mm": 1000 * float(np.linalg.norm(world[0] - world[1], axis=-1).mean()),
-        "jerk": float(np.linalg.norm(np.diff(world[0], n=3, axis=0), axis=-1).mean()) * 8000.0,
-        "skate": float(step[low].mean()) if low.any() else 0.0,
-    }
+def make_loaders(train: Dataset, val: Dataset, preset: Preset, level: str) -> tuple[DataLoader, DataLoader]:
+    """Make batches of training, with random crops, and of validation.
 
-
-def loaders(train: Dataset, val: Dataset, preset: Preset, level: str) -> tuple[DataLoader, DataLoader]:
-    """In memory, no workers: building a batch costs less than a process switch."""
+    There are no worker processes: the clips are in memory, and a batch is built in less time than a process switch.
+    """
     data, patch = preset.data, preset.vae[level].frames_per_token
     rng = np.random.Generator(np.random.PCG64(preset.seed))
     multiple = 2 * patch
 
     def collate(indices: list[int]) -> tuple[Tensor, Tensor]:
         clips = [train.features[i] for i in indices]
-        crop = {"min_frames": data.min_frames, "max_frames": data.max_frames}
-        return padded([cropped(clip, rng, **crop) for clip in clips], multiple)
+        limits = {"min_frames": data.min_frames, "max_frames": data.max_frames}
+        return pad_clips([random_crop(clip, rng, **limits) for clip in clips], multiple)
 
     lengths = [min(len(rows), data.max_frames) for rows in train.features]
     budget = preset.vae_training[level].batch
     sampler = FrameBudgetSampler(lengths, budget, preset.seed)
-    numbers: Any = range(len(train.features))
     val_sampler = FrameBudgetSampler([len(rows) for rows in val.features], 4 * budget, preset.seed)
+    train_indices: Any = range(len(train.features))
+    val_indices: Any = range(len(val.features))
     return (
-        DataLoader(numbers, batch_sampler=sampler, collate_fn=collate),
+        DataLoader(train_indices, batch_sampler=sampler, collate_fn=collate),
         DataLoader(
-            range(len(val.features)),  # type: ignore[arg-type]
+            val_indices,
             batch_sampler=val_sampler,
-            collate_fn=lambda indices: padded([val.features[i] for i in indices], multiple),
+            collate_fn=lambda indices: pad_clips([val.features[i] for i in indices], multiple),
         ),
     )
 
 
 def main(argv: list[str] | None = None) -> None:
-    """Command line."""
+    """Run the command line."""
     parser = argparse.ArgumentParser(prog="kinegraph_training.train_vae", description=__doc__.split("\n")[0])
     parser.add_argument("--level", choices=LEVELS, required=True)
     parser.add_argument("--decoder-only", action="store_true", help="with --start-from: leave the encoder as it is")
@@ -182,10 +178,11 @@ def main(argv: list[str] | None = None) -> None:
         train = train.under(module.mean.numpy(), module.std.numpy())
     val = validation_set(arguments.data, "val", preset.data, train.mean, train.std)
     if arguments.decoder_only:
-        module.keep_encoder()
+        module.freeze_encoder()
     run = arguments.run / f"vae_{arguments.level}"
-    loop = trainer(run, config, validate_every=min(1000, config.steps), lightning=lightning_flags(lightning))
-    loop.fit(module, *loaders(train, val, preset, arguments.level), ckpt_path=last_checkpoint(run))
+    trainer = make_trainer(run, config, validate_every=min(1000, config.steps), lightning=lightning_flags(lightning))
+    train_batches, val_batches = make_loaders(train, val, preset, arguments.level)
+    trainer.fit(module, train_batches, val_batches, ckpt_path=last_checkpoint(run))
 
 
 if __name__ == "__main__":

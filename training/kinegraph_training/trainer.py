@@ -1,4 +1,4 @@
-"""What every stage shares: optimiser, averaged weights, checkpoints, curves."""
+"""Everything that the training commands share: optimiser, weight averaging, checkpoints, learning curves, arguments."""
 
 from __future__ import annotations
 
@@ -18,13 +18,18 @@ from torch import nn
 from kinegraph.errors import InvalidInputError
 from kinegraph_training.config import OptimiserConfig
 
-PER_TOKEN = frozenset(("query", "latent_position", "position"))
-"""Parameters (tokens, width) of autoencoders and denoisers that belong to the tokens of their own latent."""
+TOKEN_PARAMETERS = frozenset(("query", "latent_position", "position"))
+"""Last name of the parameters (tokens, width) that hold one row per latent token."""
+FINAL_RATE = 0.02
+"""Learning rate at the end of a run, as a share of its peak."""
 
 
 class RampedEma(WeightAveraging):
-    """Exponential moving average whose decay grows as (1 + n) / (10 + n), so that a short run is not stuck at its
-    start. Validation and checkpoints use the averaged weights; the live ones are kept for resuming."""
+    """Exponential moving average of the weights whose decay at update n is min(decay, (1 + n) / (10 + n)).
+
+    The ramp keeps a short run from being stuck at its initial weights. Validation and checkpoints use the averaged
+    weights; the live ones are stored beside them for resuming.
+    """
 
     def __init__(self, decay: float) -> None:
         def lerp(averaged: list[torch.Tensor], live: list[torch.Tensor], count: torch.Tensor | int) -> None:
@@ -34,11 +39,17 @@ class RampedEma(WeightAveraging):
         super().__init__(use_buffers=False, multi_avg_fn=lerp)
 
 
-def optimiser(module: nn.Module, config: OptimiserConfig, precision: str) -> dict[str, Any]:
-    """AdamW, linear warm-up, cosine to 2 % by step count (so that a resumed run follows the same curve).
+def configure_optimiser(module: nn.Module, config: OptimiserConfig, precision: str) -> dict[str, Any]:
+    """Build AdamW with linear warm-up and cosine decay to `FINAL_RATE`, for Lightning's `configure_optimizers`.
 
-    `precision` is the trainer's: in float32 the step is one pass over all weights, which spares an eighth of a denoiser
-    step on a CPU; under mixed precision Lightning refuses to clip gradients for such a step.
+    The rate depends on the step count alone, so that a resumed run follows the same curve. In float32 the fused
+    optimiser saves an eighth of a denoiser step on a CPU; under mixed precision Lightning refuses to clip gradients
+    for it.
+
+    Args:
+        module: its parameters that require gradients are trained.
+        config: of the stage.
+        precision: the trainer's, such as "32-true".
     """
     adam = torch.optim.AdamW(
         [p for p in module.parameters() if p.requires_grad],
@@ -51,15 +62,15 @@ def optimiser(module: nn.Module, config: OptimiserConfig, precision: str) -> dic
     def rate(step: int) -> float:
         if step < config.warmup:
             return (step + 1) / config.warmup
-        part = min(1.0, (step - config.warmup) / max(1, config.steps - config.warmup))
-        return 0.02 + 0.98 * 0.5 * (1 + math.cos(math.pi * part))
+        progress = min(1.0, (step - config.warmup) / max(1, config.steps - config.warmup))
+        return FINAL_RATE + (1 - FINAL_RATE) * 0.5 * (1 + math.cos(math.pi * progress))
 
     schedule = torch.optim.lr_scheduler.LambdaLR(adam, rate)
     return {"optimizer": adam, "lr_scheduler": {"scheduler": schedule, "interval": "step"}}
 
 
 class LastCheckpoint(ModelCheckpoint):
-    """`last.ckpt`, every so many steps and after the last one, whatever ended the run."""
+    """Writes `last.ckpt` every so many steps and when the run ends, for whatever reason."""
 
     def __init__(self, folder: Path, every: int) -> None:
         # Resuming from a checkpoint that was copied here must replace it too: no last-v1.ckpt beside it.
@@ -71,19 +82,19 @@ class LastCheckpoint(ModelCheckpoint):
             trainer.save_checkpoint(Path(self.dirpath) / f"{self.CHECKPOINT_NAME_LAST}{self.FILE_EXTENSION}")
 
     def on_train_end(self, trainer: L.Trainer, pl_module: L.LightningModule) -> None:
-        """Too late to save: the average has taken the place of the live weights, from which a run goes on."""
+        """Do not save here: EMA weights have replaced the live weights, and resuming needs the live ones."""
 
 
 class SeedPerProcess(L.Callback):
-    """Processes that train together begin with the same weights, then draw samples and noise of their own."""
+    """Gives each process of distributed training a random seed of its own, after equal initial weights."""
 
     def setup(self, trainer: L.Trainer, pl_module: L.LightningModule, stage: str) -> None:
         if trainer.global_rank:
             torch.manual_seed(torch.initial_seed() + trainer.global_rank)
 
 
-class Curves(L.Callback):
-    """Joins the tables of all starts of a run into metrics.csv and draws it as curves.png, after each validation."""
+class LearningCurves(L.Callback):
+    """Merges the logs of all starts of a run into metrics.csv and plots them as curves.png, after each validation."""
 
     def on_validation_end(self, trainer: L.Trainer, pl_module: L.LightningModule) -> None:
         if trainer.sanity_checking or not trainer.is_global_zero or not isinstance(trainer.logger, CSVLogger):
@@ -99,19 +110,19 @@ Row = dict[str, str]
 
 
 def merge_logs(tables: list[Path]) -> list[Row]:
-    """Rows of one run that was started several times: what a later start did again replaces what was there."""
-    rows: list[Row] = []
+    """Merge the logs of a resumed run; where steps overlap, the later log wins."""
+    merged: list[Row] = []
     for table in tables:
         with table.open(newline="") as file:
-            own = list(csv.DictReader(file))
-        if own:
-            first = int(own[0]["step"])
-            rows = [row for row in rows if int(row["step"]) < first] + own
-    return rows
+            rows = list(csv.DictReader(file))
+        if rows:
+            first_step = int(rows[0]["step"])
+            merged = [row for row in merged if int(row["step"]) < first_step] + rows
+    return merged
 
 
 def write_table(path: Path, rows: list[Row]) -> None:
-    """A CSV with a column for every metric that any row has."""
+    """Write rows as CSV, with a column for every metric that any row has."""
     names = list(dict.fromkeys(name for row in rows for name in row))
     with path.open("w", newline="") as file:
         writer = csv.DictWriter(file, names, restval="")
@@ -120,7 +131,7 @@ def write_table(path: Path, rows: list[Row]) -> None:
 
 
 def draw_curves(path: Path, rows: list[Row]) -> None:
-    """One panel per metric over steps."""
+    """Plot every metric over steps, one panel each, as a PNG file."""
     import matplotlib
 
     matplotlib.use("Agg")
@@ -149,14 +160,24 @@ def draw_curves(path: Path, rows: list[Row]) -> None:
 
 
 def fast_precision() -> str:
-    """Mixed bfloat16 where the hardware multiplies it; on a CPU without AVX-512 it is 13 times slower than float32."""
-    fast = torch.cuda.is_available() or "AVX512" in torch.backends.cpu.get_cpu_capability()
-    return "bf16-mixed" if fast else "32-true"
+    """Choose mixed bfloat16 where the hardware multiplies it, else float32.
+
+    On a CPU without AVX-512, bfloat16 is 13 times slower than float32.
+    """
+    has_bfloat16 = torch.cuda.is_available() or "AVX512" in torch.backends.cpu.get_cpu_capability()
+    return "bf16-mixed" if has_bfloat16 else "32-true"
 
 
-def trainer(run: Path, config: OptimiserConfig, *, validate_every: int, lightning: dict[str, Any]) -> L.Trainer:
-    """A Lightning trainer that resumes from `run/last.ckpt`; `lightning` are its own flags (devices, strategy ...)."""
-    # Lightning empties the folder of a table it opens, so each start gets its own
+def make_trainer(run: Path, config: OptimiserConfig, *, validate_every: int, lightning: dict[str, Any]) -> L.Trainer:
+    """Build a Lightning trainer that writes checkpoints and learning curves into `run`.
+
+    Args:
+        run: folder of the stage.
+        config: of the stage.
+        validate_every: steps between validations, and between checkpoints.
+        lightning: further arguments of `lightning.Trainer` (devices, strategy ...), before those set here.
+    """
+    # Lightning empties the folder of a log it opens, so each start gets its own.
     starts = len(list((run / "curves").glob("start_*")))
     logger = CSVLogger(run, name="curves", version=f"start_{starts:03d}")
     options: dict[str, Any] = {
@@ -169,19 +190,24 @@ def trainer(run: Path, config: OptimiserConfig, *, validate_every: int, lightnin
         "log_every_n_steps": 50,
         "num_sanity_val_steps": 0,
         "enable_model_summary": False,
-        # FrameBudgetSampler hands out shares itself, and who draws at random needs none
+        # FrameBudgetSampler divides batches among processes itself; random samplers need no division.
         "use_distributed_sampler": False,
-        "callbacks": [LastCheckpoint(run, validate_every), RampedEma(config.ema), SeedPerProcess(), Curves()],
+        "callbacks": [LastCheckpoint(run, validate_every), RampedEma(config.ema), SeedPerProcess(), LearningCurves()],
         "logger": logger,
     }
     return L.Trainer(**(options | lightning))
 
 
-def start_weights(module: nn.Module, checkpoint: Path, prefix: str) -> None:
-    """Give a module the weights that another run's checkpoint holds under names that begin with `prefix`.
+def load_start_weights(module: nn.Module, checkpoint: Path, prefix: str) -> None:
+    """Load the weights that another run's checkpoint holds under names beginning with `prefix`.
 
-    A latent of twice (three times ...) the tokens begins with each of them repeated: token k stands for the k-th part
-    of a clip, so its two halves begin as what it was.
+    A module whose latent has a multiple of the checkpoint's tokens starts with each token repeated: token k stands for
+    the k-th part of a clip, so the two halves of that part start from the token of the whole.
+
+    Args:
+        module: receives the weights.
+        checkpoint: of another run, of the same shape but for the number of latent tokens.
+        prefix: of the names in the checkpoint; removed.
 
     Raises:
         InvalidInputError: no such file, or weights of another shape.
@@ -189,28 +215,29 @@ def start_weights(module: nn.Module, checkpoint: Path, prefix: str) -> None:
     if not checkpoint.is_file():
         raise InvalidInputError(f"--start-from {checkpoint}: there is no such file")
     weights = torch.load(checkpoint, map_location="cpu", weights_only=True)["state_dict"]
-    own = {name.removeprefix(prefix): value for name, value in weights.items() if name.startswith(prefix)}
-    wanted = {name: len(value) for name, value in module.state_dict().items() if name.split(".")[-1] in PER_TOKEN}
-    own.update({name: repeated(own[name], tokens) for name, tokens in wanted.items() if name in own})
+    state = {name.removeprefix(prefix): value for name, value in weights.items() if name.startswith(prefix)}
+    for name, value in module.state_dict().items():
+        if name.split(".")[-1] in TOKEN_PARAMETERS and name in state:
+            state[name] = repeat_rows(state[name], len(value))
     try:
-        module.load_state_dict(own)
+        module.load_state_dict(state)
     except RuntimeError as error:
         raise InvalidInputError(f"--start-from {checkpoint}: not this preset's network: {error}") from error
 
 
-def repeated(rows: torch.Tensor, count: int) -> torch.Tensor:
-    """(n, d) -> (count, d), each row as often as `count` holds n; unchanged where it does not."""
+def repeat_rows(rows: torch.Tensor, count: int) -> torch.Tensor:
+    """Repeat each row of (n, d) count / n times to (count, d); return them unchanged if n does not divide count."""
     return rows if count % len(rows) else rows.repeat_interleave(count // len(rows), dim=0)
 
 
 def last_checkpoint(run: Path) -> str | None:
-    """Where to resume, if the run was started before."""
+    """Return the checkpoint to resume from, if the run was started before."""
     path = run / "last.ckpt"
     return str(path) if path.is_file() else None
 
 
 def add_common_arguments(parser: argparse.ArgumentParser) -> None:
-    """Arguments of every stage."""
+    """Declare the arguments that autoencoders and denoisers share."""
     parser.add_argument("--data", type=Path, required=True, help="folder with train.npz, captions.jsonl, index.jsonl")
     parser.add_argument("--held-out", type=Path, help="JSON of action pairs that must not be composed in training")
     parser.add_argument(
@@ -229,7 +256,7 @@ def add_common_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def lightning_flags(words: list[str]) -> dict[str, Any]:
-    """`--devices 2 --strategy ddp` as keyword arguments of lightning.Trainer."""
+    """Parse words such as `--devices 2 --strategy ddp` into keyword arguments of lightning.Trainer."""
     if len(words) % 2 or any(not name.startswith("--") for name in words[::2]):
         raise SystemExit(f"unknown arguments {' '.join(words)}; flags of lightning.Trainer come as --name value")
     flags: dict[str, Any] = {}

@@ -1,4 +1,4 @@
-"""Batches of clips of like length: a fixed budget of frames, so that padding stays small and memory level."""
+"""Batches of clips of similar length, under a budget of frames that keeps padding small and memory constant."""
 
 from __future__ import annotations
 
@@ -6,22 +6,25 @@ from collections.abc import Iterator
 
 import numpy as np
 import torch
-from kinegraph.arrays import FloatArray
 from torch import Tensor, distributed
 from torch.utils.data import Sampler
 
+from kinegraph.arrays import FloatArray
+
 
 def rank_and_world() -> tuple[int, int]:
-    """Which of the processes that train together this is, and how many there are."""
+    """Return the index of this process in distributed training, and the number of processes."""
     if not (distributed.is_available() and distributed.is_initialized()):
         return 0, 1
     return distributed.get_rank(), distributed.get_world_size()
 
 
 class FrameBudgetSampler(Sampler[list[int]]):
-    """Batches sorted by jittered length; the same seed and epoch give the same batches (so a resumed run goes on).
+    """Sampler of batches whose padded clips hold at most `budget` frames.
 
-    Processes that train together get equal shares of them: who had one more would wait for the others for ever.
+    Clips are sorted by jittered length. The same seed and epoch give the same batches, so that a resumed run continues
+    as it would have. Processes of distributed training get equal shares: one with a batch more would wait for the
+    others for ever.
     """
 
     def __init__(self, lengths: list[int], budget: int, seed: int) -> None:
@@ -31,7 +34,7 @@ class FrameBudgetSampler(Sampler[list[int]]):
         self.epoch = 0
 
     def set_epoch(self, epoch: int) -> None:
-        """Called by Lightning before each epoch."""
+        """Choose the epoch whose batches come next; Lightning calls this."""
         self.epoch = epoch
 
     def __iter__(self) -> Iterator[list[int]]:
@@ -41,12 +44,12 @@ class FrameBudgetSampler(Sampler[list[int]]):
         return len(self.batches()) // rank_and_world()[1]
 
     def share(self, rank: int, world: int) -> list[list[int]]:
-        """Every world-th batch of an epoch; what is left over at its end is left out."""
+        """Return every world-th batch of the epoch, from `rank` on; the remainder at the end is left out."""
         batches = self.batches()
         return batches[rank : len(batches) - len(batches) % world : world]
 
     def batches(self) -> list[list[int]]:
-        """Indices per batch, in training order."""
+        """Return the indices of every batch of the epoch, in training order."""
         rng = np.random.Generator(np.random.PCG64([self.seed, self.epoch]))
         order = np.argsort(self.lengths * (1 + 0.15 * rng.standard_normal(len(self.lengths))), kind="stable")
         batches: list[list[int]] = []
@@ -62,8 +65,12 @@ class FrameBudgetSampler(Sampler[list[int]]):
         return [batches[i] for i in rng.permutation(len(batches))]
 
 
-def padded(clips: list[FloatArray], multiple: int) -> tuple[Tensor, Tensor]:
-    """(b, l, f) zero-padded to a multiple, and the frame mask (b, l)."""
+def pad_clips(clips: list[FloatArray], multiple: int) -> tuple[Tensor, Tensor]:
+    """Stack sequences (frames, width), padded with zeros to a common multiple of frames.
+
+    Returns:
+        (b, l, width) and the mask (b, l), 1 for real frames.
+    """
     frames = -(-max(map(len, clips)) // multiple) * multiple
     features = np.zeros((len(clips), frames, clips[0].shape[1]), dtype=np.float32)
     mask = np.zeros((len(clips), frames), dtype=np.float32)
@@ -73,8 +80,8 @@ def padded(clips: list[FloatArray], multiple: int) -> tuple[Tensor, Tensor]:
     return torch.from_numpy(features), torch.from_numpy(mask)
 
 
-def cropped(features: FloatArray, rng: np.random.Generator, *, min_frames: int, max_frames: int) -> FloatArray:
-    """Half of the clips are cut to 50-100 % of their length; all to at most `max_frames`."""
+def random_crop(features: FloatArray, rng: np.random.Generator, *, min_frames: int, max_frames: int) -> FloatArray:
+    """Crop half of the clips to 50-100 % of their length, and all to at most `max_frames`."""
     frames = len(features)
     length = frames if rng.random() < 0.5 else int(frames * rng.uniform(0.5, 1.0))
     length = int(np.clip(length, min(min_frames, frames), max_frames))

@@ -1,4 +1,4 @@
-"""Checkpoints of a run: the last step is never lost, and a run that goes on is the run that never stopped."""
+"""Checkpoints of a run: the last step is always saved, and a resumed run equals one that was never stopped."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ torch = pytest.importorskip("torch")
 L = pytest.importorskip("lightning")
 
 from kinegraph_training.config import OptimiserConfig
-from kinegraph_training.trainer import last_checkpoint, optimiser, trainer
+from kinegraph_training.trainer import configure_optimiser, last_checkpoint, make_trainer
 
 CONFIG = OptimiserConfig(steps=8, learning_rate=0.1, warmup=2, batch=1, ema=0.9)
 QUIET: dict[str, Any] = {"accelerator": "cpu", "precision": "32-true", "enable_progress_bar": False}
 
 
 class Line(L.LightningModule):  # type: ignore[misc]
-    """One weight that is drawn to 3."""
+    """Model of one weight, which is trained towards 3."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -31,20 +31,20 @@ class Line(L.LightningModule):  # type: ignore[misc]
         self.log("val/loss", (self.weight - 3.0).square().sum())
 
     def configure_optimizers(self) -> Any:
-        return optimiser(self, CONFIG, "32-true")
+        return configure_optimiser(self, CONFIG, "32-true")
 
 
-def fitted(run: Path, **flags: Any) -> dict[str, Any]:
-    """`last.ckpt` after a start of the run: validation and checkpoints every 3 steps, epochs of 4."""
+def train(run: Path, **flags: Any) -> dict[str, Any]:
+    """Start or resume the run, with checkpoints every 3 steps and epochs of 4; returns `last.ckpt`."""
     batches = torch.utils.data.DataLoader(range(4))
-    loop = trainer(run, CONFIG, validate_every=3, lightning=QUIET | flags)
-    loop.fit(Line(), batches, batches, ckpt_path=last_checkpoint(run))
-    found: dict[str, Any] = torch.load(run / "last.ckpt", weights_only=True)
-    return found
+    trainer = make_trainer(run, CONFIG, validate_every=3, lightning=QUIET | flags)
+    trainer.fit(Line(), batches, batches, ckpt_path=last_checkpoint(run))
+    checkpoint: dict[str, Any] = torch.load(run / "last.ckpt", weights_only=True)
+    return checkpoint
 
 
 def weights(checkpoint: dict[str, Any]) -> tuple[float, float]:
-    """Averaged and live."""
+    """Return the averaged weight and the live one."""
     return checkpoint["state_dict"]["weight"].item(), checkpoint["current_model_state"]["weight"].item()
 
 
@@ -54,35 +54,35 @@ def weights(checkpoint: dict[str, Any]) -> tuple[float, float]:
     ids=["between two saves", "before the first", "at one", "after an epoch"],
 )
 def test_the_last_step_is_kept_whatever_it_is(tmp_path: Path, flags: dict[str, Any], steps: int) -> None:
-    found = fitted(tmp_path, **flags)
-    assert found["global_step"] == steps
-    averaged, live = weights(found)
+    checkpoint = train(tmp_path, **flags)
+    assert checkpoint["global_step"] == steps
+    averaged, live = weights(checkpoint)
     assert 0 < averaged < live, "a run goes on from live weights, not from their average"
     assert [path.name for path in tmp_path.glob("*.ckpt")] == ["last.ckpt"]
 
 
 @pytest.mark.parametrize("stop", [2, 4, 5, 6])
 def test_a_run_that_goes_on_is_the_run_that_never_stopped(tmp_path: Path, stop: int) -> None:
-    whole = fitted(tmp_path / "whole")
-    fitted(tmp_path / "stopped", max_steps=stop)
-    further = fitted(tmp_path / "stopped")
+    whole = train(tmp_path / "whole")
+    train(tmp_path / "stopped", max_steps=stop)
+    further = train(tmp_path / "stopped")
     assert further["global_step"] == 8
     assert weights(further) == weights(whole)
     assert further["lr_schedulers"] == whole["lr_schedulers"]
 
 
 def test_a_run_that_is_done_is_left_as_it_is(tmp_path: Path) -> None:
-    done = fitted(tmp_path)
-    assert weights(fitted(tmp_path)) == weights(done)
+    done = train(tmp_path)
+    assert weights(train(tmp_path)) == weights(done)
 
 
 def test_a_trial_writes_nothing(tmp_path: Path) -> None:
     with pytest.raises(FileNotFoundError, match="last"):
-        fitted(tmp_path, fast_dev_run=5)
+        train(tmp_path, fast_dev_run=5)
 
 
 def test_a_checkpoint_from_elsewhere_is_replaced_too(tmp_path: Path) -> None:
-    fitted(tmp_path / "there", max_steps=3)
+    train(tmp_path / "there", max_steps=3)
     (tmp_path / "here").mkdir()
     (tmp_path / "there" / "last.ckpt").rename(tmp_path / "here" / "last.ckpt")
-    assert fitted(tmp_path / "here")["global_step"] == 8
+    assert train(tmp_path / "here")["global_step"] == 8

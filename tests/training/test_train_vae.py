@@ -1,4 +1,4 @@
-"""An autoencoder that starts from the weights of another."""
+"""Training of an autoencoder: starting from the weights of another, and training the decoder alone."""
 
 from __future__ import annotations
 
@@ -9,11 +9,13 @@ import pytest
 torch = pytest.importorskip("torch")
 pytest.importorskip("lightning")
 
+from kinegraph.bundle.contract import LEVELS
 from kinegraph.errors import InvalidInputError
 from kinegraph_training import train_vae
-from kinegraph_training.config import LEVELS, read_preset
+from kinegraph_training.config import read_preset
 from kinegraph_training.latents import read_vae
-from kinegraph_training.train_vae import ENCODER, MOTION_TERMS, VaeModule
+from kinegraph_training.models.vae import ENCODER_PARTS
+from kinegraph_training.train_vae import MOTION_TERMS, VaeModule
 
 WEIGHTS = Path(__file__).parents[2] / "weights" / "edge"
 
@@ -82,14 +84,14 @@ def test_a_latent_of_twice_the_tokens_begins_with_each_of_them_twice(tmp_path: P
 
 def test_a_decoder_alone_leaves_the_latent_where_it_was() -> None:
     own = module(1)
-    own.keep_encoder()
+    own.freeze_encoder()
     features, mask = torch.randn(2, 24, 137), torch.ones(2, 24)
     latent = own.vae.encode(features, mask)
     assert not latent[0].requires_grad and not latent[1].requires_grad
     own.vae.decode(latent[0], mask).sum().backward()
     trained = {name.split(".")[0] for name, value in own.vae.named_parameters() if value.grad is not None}
     left = {name.split(".")[0] for name, value in own.vae.named_parameters() if value.grad is None}
-    assert left == ENCODER and "decoder" in trained
+    assert left == ENCODER_PARTS and "decoder" in trained
     with pytest.raises(InvalidInputError, match="needs --start-from"):
         train_vae.main(["--level", "specific", "--decoder-only", "--data", "x", "--run", "x"])
 
