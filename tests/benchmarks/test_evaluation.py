@@ -31,7 +31,7 @@ from support.shared import shared_path
 
 
 def clip(content: str, joints: np.ndarray, style: str = "normal", *captions: str) -> MotionClip:
-    return MotionClip(content, joints.astype(np.float32), captions or ("a person moves.",), content, style)
+    return MotionClip(content, joints.astype(np.float32), captions or ("a person moves.",), (content,), style)
 
 
 @pytest.mark.parametrize(

@@ -6,7 +6,7 @@ import numpy as np
 
 from kinegraph.conditioning import graph_structure
 from kinegraph.graph import Action, Argument, SemanticGraph
-from kinegraph_benchmarks.quality.masked_verbs import PREDICATES, VerbMaskingModel, predicate_rates, mask_verbs
+from kinegraph_benchmarks.quality.masked_verbs import PREDICATES, VerbMaskingModel, mask_verbs, predicate_rates
 from kinegraph_training.data.clips import MotionClip
 from support.motions import posed, t_pose, turn
 
@@ -71,6 +71,6 @@ def test_the_model_hears_the_masked_graph() -> None:
 def test_rates_are_told_apart_by_what_they_are_about() -> None:
     pivot = np.stack([posed(np.zeros(3), {0: turn("y", angle)}) for angle in np.linspace(0, np.pi / 2, 30)])
     still = t_pose(30)
-    clips = [MotionClip(name, still, ("x",), name, "") for name in (*["walk-turn-left"] * 2, "wave-left-hand")]
+    clips = [MotionClip(name, still, ("x",), (name,), "") for name in (*["walk-turn-left"] * 2, "wave-left-hand")]
     assert predicate_rates(clips, [pivot, still, still]) == {"direction": 0.5, "body part": 0.0}
     assert {"walk-turn-right", "raise-up-both-hands", "wave-right-hand"} <= set(PREDICATES)

@@ -35,7 +35,7 @@ HELD = HeldOut(frozenset({frozenset(("walk", "raise-up-left-hand"))}), frozenset
 
 
 def clip(content: str, joints: np.ndarray, style: str = "normal") -> MotionClip:
-    return MotionClip(content, joints, (f"a person does {content}.",), content, style)
+    return MotionClip(content, joints, (f"a person does {content}.",), (content,), style)
 
 
 CLIPS = [clip("walk", WALK), clip("raise-up-left-hand", LIFT)]

@@ -103,39 +103,39 @@ class Stub:
 
 
 def composer(data: Path, *motions: np.ndarray) -> compml.Composer:
-    return compml.composer(Stub(list(motions)), data, data / "held_out.json", 5)  # type: ignore[arg-type]
+    return compml.make_composer(Stub(list(motions)), data, data / "held_out.json", 5)  # type: ignore[arg-type]
 
 
 def test_only_what_was_recorded_and_is_not_held_out_is_composed(data: Path) -> None:
     own = composer(data)
-    wishes = [own.wish(number, 0) for number in range(300)]
+    requests = [own.draw_request(number, 0) for number in range(300)]
     never = {frozenset(pair) for pair in HELD["together"]}
     never |= {frozenset(map(mirrored_label, pair)) for pair in never}
-    found = {frozenset(wish.contents) for wish in wishes}
+    found = {frozenset(request.actions) for request in requests}
     assert not found & never and len(found) > 4
     recorded = {(content, style): len(joints) for content, style, joints in RECORDED}
-    for wish in wishes:
-        first, second = wish.contents
-        assert (first, wish.style) in recorded and (second, wish.style) in recorded
+    for request in requests:
+        first, second = request.actions
+        assert (first, request.style) in recorded and (second, request.style) in recorded
         assert second not in LOCOMOTION
-        assert wish.seconds == recorded[first, wish.style] / 20
-        assert len(set(wish.captions)) == 4
-    assert {wish.style for wish in wishes} == {"normal", "happy"}
+        assert request.seconds == recorded[first, request.style] / 20
+        assert len(set(request.captions)) == 4
+    assert {request.style for request in requests} == {"normal", "happy"}
     # The manner is said of each action, and clips are drawn independently of one another.
-    assert all("happ" in " ".join(wish.concepts) for wish in wishes if wish.style == "happy")
-    assert len({wish.seed for wish in wishes}) == 300
-    assert own.wish(17, 0) == wishes[17] != own.wish(17, 1)
+    assert all("happ" in " ".join(request.concepts) for request in requests if request.style == "happy")
+    assert len({request.seed for request in requests}) == 300
+    assert own.draw_request(17, 0) == requests[17] != own.draw_request(17, 1)
 
 
 def test_data_without_two_actions_that_go_together_are_refused(data: Path, tmp_path: Path) -> None:
     alone = tmp_path / "alone"
     write_data(alone, [PreparedClip("a", walk(30), ("walks.",), "made", "train", "walk", "normal")], 20)
     with pytest.raises(compml.InvalidInputError, match="nothing can be composed"):
-        compml.composer(Stub(), alone, data / "held_out.json", 0)  # type: ignore[arg-type]
+        compml.make_composer(Stub(), alone, data / "held_out.json", 0)  # type: ignore[arg-type]
     legs = [("a", walk(30), "walk"), ("b", walk(30, turning=0.02), "walk-turn-left")]
     write_data(alone, [PreparedClip(n, j, ("walks.",), "made", "train", c, "normal") for n, j, c in legs], 20)
     with pytest.raises(compml.InvalidInputError, match="no two actions"):
-        compml.composer(Stub(), alone, data / "held_out.json", 0).wish(0, 0)  # type: ignore[arg-type]
+        compml.make_composer(Stub(), alone, data / "held_out.json", 0).draw_request(0, 0)  # type: ignore[arg-type]
 
 
 WALK = walk(40)
@@ -152,11 +152,11 @@ def test_a_clip_that_jerks_or_skates_is_drawn_again(data: Path) -> None:
     calm = waving(40, 16)
     sliding = walk(40, speed=0.5)
     own = composer(data, shaking(0.5), sliding, calm)
-    wish, joints, redrawn = own.make(3)
+    request, joints, redrawn = own.compose(3)
     assert redrawn == 2 and joints is calm
-    assert wish == own.wish(3, 2)
+    assert request == own.draw_request(3, 2)
     assert own.pipe.asked[-1] == {  # type: ignore[attr-defined]
-        "concepts": wish.concepts, "text": wish.captions[0], "seconds": wish.seconds, "seed": wish.seed,
+        "concepts": request.concepts, "text": request.captions[0], "seconds": request.seconds, "seed": request.seed,
     }  # fmt: skip
 
 
@@ -169,7 +169,7 @@ def test_the_limit_is_the_worse_of_both_actions(data: Path) -> None:
     sizes = np.geomspace(1e-5, 1e-1, 400)
     times = np.array([jerk(shaking(size)) for size in sizes]) / max(highest[each] for each in pair)
     below, above = sizes[times < 1.4][-1], sizes[times > 1.6][0]
-    assert own.clean(shaking(below), pair) and not own.clean(shaking(above), pair)
+    assert own.is_clean(shaking(below), pair) and not own.is_clean(shaking(above), pair)
 
 
 def test_hands_that_hardly_move_are_no_gesture(data: Path) -> None:
@@ -179,14 +179,14 @@ def test_hands_that_hardly_move_are_no_gesture(data: Path) -> None:
     recorded = next(joints for content, style, joints in RECORDED if (content, style) == kind)
     assert own.slowest[kind] == pytest.approx(hand_speed(recorded), rel=0.02)
     faint = recorded[:1] + 0.6 * (recorded - recorded[:1])
-    assert own.lively(recorded, kind) and own.lively(recorded[:1] + 0.8 * (recorded - recorded[:1]), kind)
-    assert not own.lively(faint, kind)
+    assert own.is_lively(recorded, kind) and own.is_lively(recorded[:1] + 0.8 * (recorded - recorded[:1]), kind)
+    assert not own.is_lively(faint, kind)
 
 
 def test_a_clip_that_is_never_clean_is_left_out_and_counted(data: Path, tmp_path: Path) -> None:
     own = composer(data, shaking(0.5))
     out = tmp_path / "out"
-    compml.begin(out, {"seed": 5})
+    compml.claim_folder(out, {"seed": 5})
     counts = compml.compose_all(own, out, 2, 1)
     assert counts == {"clips": 0, "left_out": 2, "rejected": 2 * compml.ATTEMPTS}
     assert read_split(out, "train") == []
@@ -213,7 +213,7 @@ def test_a_killed_run_goes_on_to_the_same_folder(rough_data: Path, tmp_path: Pat
     for name in ("train.npz", "captions.jsonl", "index.jsonl", "provenance.json"):
         assert (tmp_path / "killed" / name).read_bytes() == (tmp_path / "whole" / name).read_bytes(), name
     clips = read_split(tmp_path / "whole", "train")
-    assert len(clips) == count and all("+" in clip.content and clip.style for clip in clips)
+    assert len(clips) == count and all(len(clip.actions) == 2 and clip.style for clip in clips)
     origin = json.loads((tmp_path / "whole" / "provenance.json").read_text())["origin"]
     assert "CC BY-NC" in origin["licence"]["weights"] and origin["bundle"]
 
@@ -238,14 +238,14 @@ def test_wrong_wishes_are_refused_before_anything_is_made(
 
 
 def test_clips_of_another_origin_are_not_mixed(tmp_path: Path) -> None:
-    compml.begin(tmp_path / "out", {"seed": 1, "bundle": "a"})
-    compml.begin(tmp_path / "out", {"seed": 1, "bundle": "a"})
+    compml.claim_folder(tmp_path / "out", {"seed": 1, "bundle": "a"})
+    compml.claim_folder(tmp_path / "out", {"seed": 1, "bundle": "a"})
     with pytest.raises(compml.OutputError, match="another seed"):
-        compml.begin(tmp_path / "out", {"seed": 2, "bundle": "a"})
+        compml.claim_folder(tmp_path / "out", {"seed": 2, "bundle": "a"})
 
 
 def test_composed_clips_are_trained_on_as_they_are(data: Path, tmp_path: Path) -> None:
-    composed = MotionClip("c", walk(40), ("someone walks and waves the left hand.",), "walk-turn-left+x", "normal")
+    composed = MotionClip("c", walk(40), ("someone walks and waves the left hand.",), ("walk-turn-left", "x"), "normal")
     more = tmp_path / "more"
     write_data(more, [PreparedClip("c", composed.joints, composed.captions, "composed", "train", "a+b", "normal")], 20)
     config = DataConfig(splices=3, sequences=0)

@@ -1,4 +1,4 @@
-"""Made compositions: who gives what, and which pairs are never made."""
+"""Synthetic compositions: which clip gives what, and which pairs are never composed."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ LEGS = [1, 2, 4, 5, 7, 8, 10, 11]
 
 
 def clip(content: str, joints: np.ndarray, style: str = "normal") -> MotionClip:
-    return MotionClip(content, joints.astype(np.float32), ("a person moves.",), content, style)
+    return MotionClip(content, joints.astype(np.float32), ("a person moves.",), (content,), style)
 
 
 def raising(frames: int = 40, side: int = 16, angle: float = 1.3) -> np.ndarray:
@@ -103,8 +103,8 @@ def test_held_out_pairs_are_never_made_nor_their_mirror_images(tmp_path: Path) -
     path = tmp_path / "held_out.json"
     path.write_text(json.dumps(listed), encoding="utf-8")
     held_out = HeldOut.read(path)
-    splices = {made.content for made in make_splices(pool(), 80, held_out, 1)}
-    sequences = {made.content for made in make_sequences(pool(), 150, held_out, 1, 196)}
+    splices = {made.action for made in make_splices(pool(), 80, held_out, 1)}
+    sequences = {made.action for made in make_sequences(pool(), 150, held_out, 1, 196)}
     assert not splices & {"walk+raise-up-left-hand", "walk+raise-up-right-hand"}
     assert "run+raise-up-left-hand" in splices
     forbidden = {"run>walk-turn-left", "run>walk-turn-right", "raise-up-left-hand>walk", "raise-up-right-hand>walk"}
@@ -112,13 +112,13 @@ def test_held_out_pairs_are_never_made_nor_their_mirror_images(tmp_path: Path) -
     # The other order of a pair that is held out in one order is allowed.
     assert "walk>raise-up-left-hand" in sequences
     # Without the list they are all made: the test can fail.
-    assert {"walk+raise-up-left-hand"} <= {made.content for made in make_splices(pool(), 80, NOTHING, 1)}
-    assert forbidden & {made.content for made in make_sequences(pool(), 150, NOTHING, 1, 196)}
+    assert {"walk+raise-up-left-hand"} <= {made.action for made in make_splices(pool(), 80, NOTHING, 1)}
+    assert forbidden & {made.action for made in make_sequences(pool(), 150, NOTHING, 1, 196)}
 
 
 def test_captions_name_both_actions_in_their_order() -> None:
     for made in make_sequences(pool(), 40, NOTHING, 2, 196):
-        first, second = made.content.split(">")
+        first, second = made.actions
         if {first, second} == {"run", "raise-up-left-hand"}:
             for caption in made.captions:
                 run = max(caption.find(word) for word in ("run", "jog"))
@@ -146,8 +146,8 @@ def test_the_real_list_is_obeyed_on_real_clips() -> None:
     splices = make_splices(clips, 200, held_out, 7)
     sequences = make_sequences(clips, 200, held_out, 7, 196)
     assert len(splices) == len(sequences) == 200
-    assert not {frozenset(made.content.split("+")) for made in splices} & together
-    assert not {tuple(made.content.split(">")) for made in sequences} & ordered
+    assert not {frozenset(made.actions) for made in splices} & together
+    assert not {made.actions for made in sequences} & ordered
 
 
 def test_mirroring_exchanges_sides_in_motion_label_and_caption() -> None:
@@ -157,7 +157,7 @@ def test_mirroring_exchanges_sides_in_motion_label_and_caption() -> None:
     assert mirrored_caption(swapped) == caption
     assert mirrored_label("wave-left-hand") == "wave-right-hand"
     assert mirrored_label("wave-both-hands") == "wave-both-hands"
-    original = MotionClip("x", raising(), ("a person raises the left hand.",), "raise-up-left-hand", "")
+    original = MotionClip("x", raising(), ("a person raises the left hand.",), ("raise-up-left-hand",), "")
     image = mirrored_clip(original)
     assert image.captions == ("a person raises the right hand.",)
     assert image.joints[-1, RIGHT_ARM[3], 1] > image.joints[-1, LEFT_ARM[3], 1] + 0.2

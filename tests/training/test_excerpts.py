@@ -17,13 +17,13 @@ from kinegraph.motion.skeleton import bone_lengths, facing_angle
 from kinegraph_training.config import DataConfig
 from kinegraph_training.data.clips import MotionClip, read_split
 from kinegraph_training.dataset import training_clips
-from kinegraph_training.synthetic.excerpts import SHORTEST, in_manners_that_turn, make_excerpts
+from kinegraph_training.synthetic.excerpts import SHORTEST, make_excerpts, select_turning_styles
 
 CAPTIONS = ("a person walks forward.", "a person walks nine steps.", "someone covers about ten meters.")
 
 
 def clip(content: str, frames: int, style: str = "normal") -> MotionClip:
-    return MotionClip(f"{content}_{frames}", walk(frames), CAPTIONS, content, style, steps=9)
+    return MotionClip(f"{content}_{frames}", walk(frames), CAPTIONS, (content,), style, steps=9)
 
 
 def test_they_have_every_length_and_say_nothing_of_numbers() -> None:
@@ -31,7 +31,7 @@ def test_they_have_every_length_and_say_nothing_of_numbers() -> None:
     lengths = np.array([len(each.joints) for each in found])
     assert lengths.min() >= SHORTEST and lengths.max() <= 190
     assert all(((lengths >= low) & (lengths < low + 30)).any() for low in (30, 60, 90, 120))
-    assert {each.content for each in found} == {"walk", "run"} and len({each.id for each in found}) == 60
+    assert {each.action for each in found} == {"walk", "run"} and len({each.id for each in found}) == 60
     for each in found:
         assert each.any_length and each.steps is None and len(each.captions) == 3
         assert not any(word in caption for caption in each.captions for word in ("steps", "meters"))
@@ -54,7 +54,7 @@ def test_turns_and_gestures_are_left_whole() -> None:
 
 def test_manners_that_were_never_recorded_turning_are_told_apart() -> None:
     young = [clip("walk", 90, "youthful"), clip("walk-turn-left", 90, "youthful")]
-    assert in_manners_that_turn([clip("walk", 90, "elderly"), *young, clip("wave-left-hand", 90)]) == young
+    assert select_turning_styles([clip("walk", 90, "elderly"), *young, clip("wave-left-hand", 90)]) == young
 
 
 def test_a_preset_asks_for_them(tmp_path: Path) -> None:
@@ -64,8 +64,8 @@ def test_a_preset_asks_for_them(tmp_path: Path) -> None:
         for count in (0, 20)
     )
     assert len(without) == len(more) - 60
-    walks = [each for each in read_split(data, "train") if each.content == "walk"]
-    straight = [each for each in more if each.id.startswith("excerpt") and each.content == "walk"]
+    walks = [each for each in read_split(data, "train") if each.action == "walk"]
+    straight = [each for each in more if each.id.startswith("excerpt") and each.action == "walk"]
     assert not any("elderly" in each.style for each in more if each.id.startswith(("excerpt", "pace")))
     assert straight and max(np.ptp(facing_angle(each.joints)) for each in straight) <= 0.2 + max(
         np.ptp(facing_angle(each.joints)) for each in walks

@@ -12,9 +12,9 @@ from kinegraph.clip import Clip
 from kinegraph.errors import InvalidInputError, OutputError
 from kinegraph.motion.skeleton import canonicalise
 from kinegraph_training.data.bvh import parse_bvh, read_bvh
-from kinegraph_training.data.captions_file import matched, read_captions
+from kinegraph_training.data.captions_file import match_captions, read_captions
 from kinegraph_training.data.clips import read_split
-from kinegraph_training.data.folder import split_of
+from kinegraph_training.data.folder import assign_splits
 from kinegraph_training.prepare import PrepareOptions, clip_joints, main, prepare
 from support.bvh_files import bvh_text, folder_of, prepared
 from support.shared import shared_path
@@ -116,18 +116,18 @@ def test_a_made_up_clip_of_our_own_comes_back(tmp_path: Path) -> None:
 
 def test_splits_depend_on_the_name_alone() -> None:
     ids = [f"clip{number}" for number in range(2000)]
-    splits = split_of(ids, val=0.1, test=0.05)
+    splits = assign_splits(ids, val=0.1, test=0.05)
     counts = {split: sum(each == split for each in splits.values()) for split in ("train", "val", "test")}
     assert 150 < counts["val"] < 250
     assert 60 < counts["test"] < 140
-    fewer = split_of(ids[::2], val=0.1, test=0.05)
+    fewer = assign_splits(ids[::2], val=0.1, test=0.05)
     assert all(splits[each] == fewer[each] for each in fewer)
 
 
 def test_small_data_still_gets_a_validation_clip() -> None:
-    assert sorted(split_of(["a", "b", "c"], val=0.001, test=0.001).values()) == ["test", "train", "val"]
-    assert split_of(["a"], val=0.05, test=0.05) == {"a": "train"}
-    assert set(split_of(["a", "b"], val=0.0, test=0.0).values()) == {"train"}
+    assert sorted(assign_splits(["a", "b", "c"], val=0.001, test=0.001).values()) == ["test", "train", "val"]
+    assert assign_splits(["a"], val=0.05, test=0.05) == {"a": "train"}
+    assert set(assign_splits(["a", "b"], val=0.0, test=0.0).values()) == {"train"}
 
 
 def write(tmp_path: Path, name: str, text: str) -> Path:
@@ -176,15 +176,15 @@ def test_captions_that_cannot_be_read(tmp_path: Path) -> None:
 
 def test_captions_find_their_files() -> None:
     captions = {"deep/a.BVH": ("x",), "b": ("y",), ".\\deep\\c.bvh": ("z",), "a": ("w",), "b.bvh": ("v",)}
-    assert matched(captions, ["deep/a", "deep/b", "deep/c"]) == {
+    assert match_captions(captions, ["deep/a", "deep/b", "deep/c"]) == {
         "deep/a": ("x", "w"),
         "deep/b": ("y", "v"),
         "deep/c": ("z",),
     }
     with pytest.raises(InvalidInputError, match=r"captions without a BVH file: d.*BVH files without a caption: a, b"):
-        matched({"d": ("x",)}, ["b", "a"])
+        match_captions({"d": ("x",)}, ["b", "a"])
     with pytest.raises(InvalidInputError, match=r"a\.bvh \(which of one/a, two/a\?\)"):
-        matched({"a.bvh": ("x",), "one/a": ("y",), "two/a": ("z",)}, ["one/a", "two/a"])
+        match_captions({"a.bvh": ("x",), "one/a": ("y",), "two/a": ("z",)}, ["one/a", "two/a"])
 
 
 @pytest.mark.parametrize(

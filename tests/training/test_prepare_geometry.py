@@ -12,9 +12,9 @@ import pytest
 
 from kinegraph.errors import InvalidInputError
 from kinegraph.motion.skeleton import JOINT_NAMES, canonicalise
-from kinegraph_training.data.bvh import joint_positions, parse_bvh, resampled
-from kinegraph_training.data.retargeting import TABLES, joint_map, map_joints, plain_name, read_map
-from kinegraph_training.prepare import unit_of
+from kinegraph_training.data.bvh import joint_positions, parse_bvh, resample_bvh
+from kinegraph_training.data.retargeting import NAMING_CONVENTIONS, find_joint_map, map_joints, plain_name, read_map
+from kinegraph_training.prepare import guess_unit
 from support.bvh_files import MIXAMO, bvh_text, prepared
 from support.shared import shared_path
 
@@ -51,28 +51,28 @@ def test_other_frame_rates_are_resampled(tmp_path: Path, fps: float) -> None:
 def test_resampling_goes_the_short_way_past_half_a_turn() -> None:
     head = "HIERARCHY\nROOT a\n{\nOFFSET 0 0 0\nCHANNELS 1 Yrotation\nEnd Site\n{\nOFFSET 0 0 1\n}\n}\n"
     motion = parse_bvh(head + "MOTION\nFrames: 2\nFrame Time: 0.1\n170\n-170\n")
-    ends = joint_positions(resampled(motion, 20.0))[:, 1]
+    ends = joint_positions(resample_bvh(motion, 20.0))[:, 1]
     angles = np.degrees(np.arctan2(ends[:, 0], ends[:, 2])) % 360
     np.testing.assert_allclose(angles, [170, 180, 190], atol=1e-6)
 
 
 def test_frames_that_fit_are_kept_as_they_are() -> None:
     motion = parse_bvh(bvh_text(frames=60)[0])
-    same = resampled(motion, 20.0)
+    same = resample_bvh(motion, 20.0)
     np.testing.assert_allclose(joint_positions(same), joint_positions(motion), atol=1e-9)
-    assert len(resampled(parse_bvh(bvh_text(frames=60, fps=60)[0]), 20.0).positions) == 20
+    assert len(resample_bvh(parse_bvh(bvh_text(frames=60, fps=60)[0]), 20.0).positions) == 20
 
 
 @pytest.mark.parametrize("unit", [1.0, 0.01, 0.001, 0.0254, 0.0254 / 0.45])
 def test_the_unit_is_guessed_from_the_legs(unit: float) -> None:
     _, places = bvh_text(frames=2)
-    assert unit_of(places / 100 / unit) == unit
+    assert guess_unit(places / 100 / unit) == unit
 
 
 def test_a_body_of_no_known_unit_needs_scale(tmp_path: Path) -> None:
     text, places = bvh_text(positions_everywhere=True)
     with pytest.raises(InvalidInputError, match=r"--scale 7$"):
-        unit_of(places / 81 * 0.85 / 7)
+        guess_unit(places / 81 * 0.85 / 7)
     np.testing.assert_allclose(prepared(tmp_path, text, scale=0.0125), canonicalise(places / 80), atol=1e-5)
 
 
@@ -124,7 +124,7 @@ def bones_of(source: dict[str, object]) -> tuple[str, ...]:
 def test_maps_agree_with_those_of_the_data(key: str) -> None:
     path = shared_path("data", "skeletons.json")
     source = json.loads(path.read_text())[key]
-    found = joint_map(bones_of(source)).sources
+    found = find_joint_map(bones_of(source)).sources
     expected = {joint: name for joint, name in source["map_to_22"].items() if "midpoint" not in name}
     assert dict(found) == expected
 
@@ -144,10 +144,10 @@ def test_missing_spine_joints_lie_between_their_neighbours(tmp_path: Path) -> No
 
 
 def test_bandai_spine_is_half_way() -> None:
-    limbs = TABLES["Bandai Namco"]
+    limbs = NAMING_CONVENTIONS["Bandai Namco"]
     names = tuple(name[0] for joint, name in limbs.items())
     places = np.random.default_rng(0).normal(size=(3, len(names), 3))
-    joints = map_joints(places, names, joint_map(names))
+    joints = map_joints(places, names, find_joint_map(names))
     np.testing.assert_allclose(joints[:, 3], (joints[:, 0] + joints[:, 6]) / 2)
     np.testing.assert_allclose(joints[:, 0], places[:, names.index("hips")])
 
@@ -155,7 +155,7 @@ def test_bandai_spine_is_half_way() -> None:
 def test_a_map_file_goes_before_the_tables(tmp_path: Path) -> None:
     text, places = bvh_text()
     (tmp_path / "map.json").write_text(json.dumps({"head": ["Neck", "HEAD", 0.5], "left_foot": "LeftToeBase.end"}))
-    joints = prepared(tmp_path, text, own_map=read_map(tmp_path / "map.json"))
+    joints = prepared(tmp_path, text, joint_sources=read_map(tmp_path / "map.json"))
     plain = prepared(tmp_path, text)
     head, neck, foot = JOINT_NAMES.index("head"), JOINT_NAMES.index("neck"), JOINT_NAMES.index("left_foot")
     lowered = joints[:, neck] - plain[:, neck]
@@ -190,8 +190,8 @@ def test_joints_that_cannot_be_mapped_are_named(tmp_path: Path) -> None:
     ):
         prepared(tmp_path, text)
     with pytest.raises(InvalidInputError, match="takes left_elbow from 'Arm', which the file lacks"):
-        prepared(tmp_path, text, own_map={"left_elbow": "Arm"})
-    assert prepared(tmp_path, text, own_map={"left_elbow": "tentacle", "head": "Top"}).shape == (30, 22, 3)
+        prepared(tmp_path, text, joint_sources={"left_elbow": "Arm"})
+    assert prepared(tmp_path, text, joint_sources={"left_elbow": "tentacle", "head": "Top"}).shape == (30, 22, 3)
 
 
 def test_plain_names() -> None:

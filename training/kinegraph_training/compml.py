@@ -1,17 +1,18 @@
-"""Training motion that the model composed itself (EnergyMoGen's CompML, section 5.1): two actions at once, as a data
-folder.
+"""Compose training clips of two actions at once with a trained bundle (EnergyMoGen's CompML, section 5.1).
 
     python -m kinegraph_training.compml --data DATA/bandai --held-out DATA/held_out_pairs.json \
         --bundle runs/mine/bundle --count 300 --out data/composed --seed 1
     python -m kinegraph_training.train_denoisers --more data/composed ...
 
-What is composed: an action of the legs or of one arm with a gesture of a free arm, both recorded in one manner, as long
-as the recorded clip of the first. Pairs held out, and their mirror images, are never made; nor is an action in a manner
-that was not recorded. A clip that jerks or skates more than `LIMIT` times as much as every recorded clip of its two
-actions is drawn again, and so is one whose hands move less than the slowest recorded clip of the gesture by as much: a
-bundle that waves faintly would teach it. Whether it shows what its captions say is not looked at: that would train on
-the predicates that the benchmarks measure with. A stopped run goes on where it was; a larger --count adds to what is
-there.
+Each clip combines an action of the legs or of one arm with a gesture of a free arm. Both were captured in one style.
+The clip is as long as the captured clip of the first. Held-out pairs and their mirror images are never composed.
+
+A clip is rejected and drawn again if its jerk or foot skate is more than `LIMIT` times the highest of captured clips of
+its two actions. So is one whose hands are slower than 1 / `LIMIT` of the slowest captured clip of the gesture, as a
+bundle that waves faintly would teach it. Whether a clip shows what its captions say is not checked: that would train on
+the predicates that the benchmarks measure with.
+
+The same command resumes a stopped run; a larger --count adds clips.
 """
 
 from __future__ import annotations
@@ -28,148 +29,162 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-from kinegraph.arrays import FloatArray
 from numpy.typing import NDArray
 from tqdm import tqdm
 
 from kinegraph import MotionPipeline, __version__
+from kinegraph.arrays import FloatArray
 from kinegraph.bundle.sessions import MAX_THREADS, available_cpus
 from kinegraph.errors import InvalidInputError, KinegraphError, OutputError
 from kinegraph.files import write_atomically
-from kinegraph_training.data.clips import MotionClip, read_split
+from kinegraph_training.data.clips import AT_ONCE, MotionClip, read_split
 from kinegraph_training.data.folder import PreparedClip, write_data
 from kinegraph_training.metrics import foot_skate, hand_speed, jerk
 from kinegraph_training.synthetic.caption_grammar import concept_caption, splice_caption
-from kinegraph_training.synthetic.compositions import HeldOut, drawn_pair, may_be_together, spliceable
+from kinegraph_training.synthetic.compositions import HeldOut, can_splice, draw_pair, select_spliceable
 
 LIMIT: Final = 1.5
-"""Times the highest jerk and foot skate of recorded clips of the two actions; as much below the lowest hand speed."""
+"""Factor by which jerk and foot skate may exceed those of captured clips, and hand speed fall below theirs."""
 ATTEMPTS: Final = 8
-"""Draws for one clip; one that fails them all is left out, and counted."""
+"""Motions generated for one clip; a clip whose motions are all rejected is left out, and counted."""
 PAIRS_DRAWN: Final = 10_000
-"""Draws of two recorded clips until one may be composed; with fewer the data hold no such pair."""
+"""Pairs of captured clips drawn before the data count as holding none that can be composed."""
 MAX_COUNT: Final = 100_000
 
 
 @dataclass(frozen=True)
-class Wish:
-    """What one clip shows."""
+class CompositionRequest:
+    """Composition of two actions, as asked of the bundle."""
 
-    contents: tuple[str, str]
+    actions: tuple[str, str]
+    """Labels of the carrier and of the gesture."""
     style: str
     concepts: tuple[str, str]
     """A sentence for each action."""
     captions: tuple[str, ...]
-    """Several wordings of both; the first is the joint text of the composition."""
+    """Sentences of both actions; the first is the joint text of the composition."""
     seconds: float
     seed: int
 
 
 @dataclass(frozen=True)
 class Composer:
-    """Makes clip k, whatever was made before: clips can be made in any order, by any number of threads."""
+    """Composer of clips by number: clip k depends on k and the seed alone, so that threads can work in any order."""
 
     pipe: MotionPipeline
     clips: Sequence[MotionClip]
-    """Recorded clips that may be composed, of lengths that the bundle takes."""
+    """Captured clips that can be composed, of lengths that the bundle takes."""
     held_out: HeldOut
     seed: int
     highest: Mapping[str, NDArray[np.float64]]
-    """Per content (2,): the highest jerk and foot skate of its recorded clips."""
+    """By action (2,): highest jerk and foot skate of its captured clips."""
     slowest: Mapping[tuple[str, str], float]
-    """Per content and manner: the lowest hand speed of its recorded clips."""
+    """By action and style: lowest hand speed of its captured clips."""
 
-    def wish(self, number: int, attempt: int) -> Wish:
-        """Drawn from the generator of this clip and attempt.
+    def draw_request(self, number: int, attempt: int) -> CompositionRequest:
+        """Draw the request of one attempt at clip `number`.
 
         Raises:
-            InvalidInputError: no two recorded clips may be composed.
+            InvalidInputError: no two captured clips can be composed.
         """
         rng = np.random.Generator(np.random.PCG64((self.seed, number, attempt)))
         clips = list(self.clips)
         for _ in range(PAIRS_DRAWN):
-            first, second = drawn_pair(clips, rng)
-            if may_be_together(first, second, self.held_out):
-                both = (first.content, second.content)
-                return Wish(
-                    contents=both,
+            first, second = draw_pair(clips, rng)
+            if can_splice(first, second, self.held_out):
+                both = (first.action, second.action)
+                return CompositionRequest(
+                    actions=both,
                     style=first.style,
                     concepts=(concept_caption(both[0], first.style, rng), concept_caption(both[1], first.style, rng)),
                     captions=splice_caption(*both, first.style, rng),
                     seconds=len(first.joints) / self.pipe.manifest.fps,
                     seed=int(rng.integers(2**32)),
                 )
-        raise InvalidInputError("the data hold no two actions of one manner that may be composed")
+        raise InvalidInputError("the data hold no two actions of one style that can be composed")
 
-    def clean(self, joints: FloatArray, contents: tuple[str, str]) -> bool:
-        """Whether a motion (frames, 22, 3) jerks and skates as recorded ones of either action do, or nearly so."""
-        most = np.maximum(*(self.highest[content] for content in contents))
-        # Feet that never touch the ground have no skate (NaN), and no fault.
+    def is_clean(self, joints: FloatArray, actions: tuple[str, str]) -> bool:
+        """Tell whether jerk and foot skate of a motion (frames, 22, 3) are within `LIMIT` of captured clips."""
+        most = np.maximum(*(self.highest[action] for action in actions))
+        # Feet that never touch the ground have no skate (NaN), and pass.
         return jerk(joints) <= LIMIT * most[0] and not foot_skate(joints) > LIMIT * most[1]
 
-    def lively(self, joints: FloatArray, gesture: tuple[str, str]) -> bool:
-        """Whether the hands of a motion move nearly as much as in recorded clips of the gesture (content, manner)."""
+    def is_lively(self, joints: FloatArray, gesture: tuple[str, str]) -> bool:
+        """Tell whether the hands of a motion are within `LIMIT` of captured clips of the gesture (action, style)."""
         return hand_speed(joints) * LIMIT >= self.slowest[gesture]
 
-    def make(self, number: int) -> tuple[Wish, FloatArray, int]:
-        """The first clean attempt, and how many came before it; no frames if none was."""
+    def compose(self, number: int) -> tuple[CompositionRequest, FloatArray, int]:
+        """Generate motions for clip `number` until one is accepted.
+
+        Returns:
+            The request, the joints (frames, 22, 3), and the number of rejected motions. There are no frames if all
+            `ATTEMPTS` were rejected.
+        """
         for attempt in range(ATTEMPTS):
-            wish = self.wish(number, attempt)
-            clip = self.pipe.compose(wish.concepts, text=wish.captions[0], seconds=wish.seconds, seed=wish.seed)
-            gesture = (wish.contents[1], wish.style)
-            if self.clean(clip.joints, wish.contents) and self.lively(clip.joints, gesture):
-                return wish, clip.joints, attempt
-        return wish, clip.joints[:0], ATTEMPTS
+            request = self.draw_request(number, attempt)
+            clip = self.pipe.compose(
+                request.concepts, text=request.captions[0], seconds=request.seconds, seed=request.seed
+            )
+            gesture = (request.actions[1], request.style)
+            if self.is_clean(clip.joints, request.actions) and self.is_lively(clip.joints, gesture):
+                return request, clip.joints, attempt
+        return request, clip.joints[:0], ATTEMPTS
 
 
-def composer(pipe: MotionPipeline, data: Path, held_out: Path, seed: int) -> Composer:
-    """From the `train` split of a data folder.
+def make_composer(pipe: MotionPipeline, data: Path, held_out: Path, seed: int) -> Composer:
+    """Make a composer from the `train` split of a data folder.
+
+    Args:
+        pipe: pipeline of the bundle.
+        data: folder of captured clips.
+        held_out: JSON file of pairs that must not be composed.
+        seed: of all clips.
 
     Raises:
-        InvalidInputError: files that cannot be read, or fewer than two labelled actions in every manner.
+        InvalidInputError: files that cannot be read, or no style with two labelled actions.
     """
     shortest, longest = pipe.manifest.frames.min, pipe.manifest.frames.max
-    usable = [clip for clip in spliceable(read_split(data, "train")) if shortest <= len(clip.joints) <= longest]
-    if len({(clip.style, clip.content) for clip in usable}) == len({clip.style for clip in usable}):
-        raise InvalidInputError(f"{data} has no manner with two labelled actions; nothing can be composed")
-    found: dict[str, list[tuple[float, float]]] = {}
+    usable = [clip for clip in select_spliceable(read_split(data, "train")) if shortest <= len(clip.joints) <= longest]
+    if len({(clip.style, clip.action) for clip in usable}) == len({clip.style for clip in usable}):
+        raise InvalidInputError(f"{data} has no style with two labelled actions; nothing can be composed")
+    measures: dict[str, list[tuple[float, float]]] = {}
     for clip in usable:
-        found.setdefault(clip.content, []).append((jerk(clip.joints), foot_skate(clip.joints)))
-    # 0 beside NaN: an action whose feet were never on the floor
-    highest = {content: np.nanmax([(0.0, 0.0), *rows], axis=0) for content, rows in found.items()}
+        measures.setdefault(clip.action, []).append((jerk(clip.joints), foot_skate(clip.joints)))
+    # The row of zeros stands for actions whose feet are never on the floor (NaN).
+    highest = {action: np.nanmax([(0.0, 0.0), *rows], axis=0) for action, rows in measures.items()}
     slowest: dict[tuple[str, str], float] = {}
     for clip in usable:
-        kind = (clip.content, clip.style)
-        slowest[kind] = min(slowest.get(kind, np.inf), hand_speed(clip.joints))
+        label = (clip.action, clip.style)
+        slowest[label] = min(slowest.get(label, np.inf), hand_speed(clip.joints))
     return Composer(pipe, usable, HeldOut.read(held_out), seed, highest, slowest)
 
 
-def write_part(own: Composer, number: int, path: Path) -> None:
-    """One clip, kept until all are made."""
-    wish, joints, rejected = own.make(number)
+def write_part(composer: Composer, number: int, path: Path) -> None:
+    """Compose one clip and write it to a file of its own, until all are done."""
+    request, joints, rejected = composer.compose(number)
     buffer = io.BytesIO()
     np.savez(
         buffer,
         joints=joints,
-        captions=np.array(wish.captions),
-        labels=np.array(["+".join(wish.contents), wish.style]),
+        captions=np.array(request.captions),
+        labels=np.array([AT_ONCE.join(request.actions), request.style]),
         rejected=rejected,
     )
     write_atomically(path, buffer.getvalue())
 
 
 def read_part(path: Path) -> tuple[PreparedClip, int]:
-    """What `write_part` wrote, and how many motions were rejected before it."""
+    """Read the file of one clip; returns the clip, and the number of motions rejected before it."""
     with np.load(path, allow_pickle=False) as stored:
-        content, style = (str(label) for label in stored["labels"])
+        action, style = (str(label) for label in stored["labels"])
         captions = tuple(str(caption) for caption in stored["captions"])
         name = f"compml_{path.stem}"
-        clip = PreparedClip(name, stored["joints"], captions, "composed", "train", content, style)
+        clip = PreparedClip(name, stored["joints"], captions, "composed", "train", action, style)
         return clip, int(stored["rejected"])
 
 
-def begin(out: Path, origin: Mapping[str, Any]) -> None:
-    """Say where the clips come from before there are any; refuse a folder of something else.
+def claim_folder(out: Path, origin: Mapping[str, Any]) -> None:
+    """Write the provenance of the clips before there are any, and refuse a folder of something else.
 
     Raises:
         OutputError: `out` holds other files, or clips of another origin.
@@ -190,16 +205,16 @@ def begin(out: Path, origin: Mapping[str, Any]) -> None:
         write_atomically(path, _json({"origin": origin}))
 
 
-def origin_of(pipe: MotionPipeline, data: Path, held_out: Path, seed: int) -> dict[str, Any]:
-    """Everything that a clip depends on, and the licence that comes with it."""
+def describe_origin(pipe: MotionPipeline, data: Path, held_out: Path, seed: int) -> dict[str, Any]:
+    """Describe everything that the clips depend on, and the licence that they fall under."""
     manifest = pipe.manifest
     weights = "".join(spec.sha256 for _, spec in sorted(manifest.files.items()))
-    recorded = b"".join((data / name).read_bytes() for name in ("train.npz", "index.jsonl"))
+    captured = b"".join((data / name).read_bytes() for name in ("train.npz", "index.jsonl"))
     return {
         "made_by": f"kinegraph_training.compml, kinegraph {__version__}",
         "bundle": f"{manifest.name} {manifest.version}",
         "bundle_sha256": hashlib.sha256(weights.encode()).hexdigest(),
-        "data_sha256": hashlib.sha256(recorded).hexdigest(),
+        "data_sha256": hashlib.sha256(captured).hexdigest(),
         "held_out_sha256": hashlib.sha256(held_out.read_bytes()).hexdigest(),
         "seed": seed,
         "method": "fused (EnergyMoGen, Eq. 10), default shares, joint text from the captions",
@@ -213,25 +228,31 @@ def origin_of(pipe: MotionPipeline, data: Path, held_out: Path, seed: int) -> di
     }
 
 
-def compose_all(own: Composer, out: Path, count: int, jobs: int) -> dict[str, int]:
-    """Make what is missing and write the data folder.
+def compose_all(composer: Composer, out: Path, count: int, jobs: int) -> dict[str, int]:
+    """Compose the clips that are missing, and write the data folder.
+
+    Args:
+        composer: of the clips.
+        out: data folder.
+        count: clips to compose, those of earlier runs included.
+        jobs: clips composed at a time.
 
     Returns:
-        How many clips there are, how many are left out, and how many motions were rejected.
+        Numbers of `clips`, of clips `left_out`, and of `rejected` motions.
     """
     paths = [out / "parts" / f"{number:06d}.npz" for number in range(count)]
     missing = [(number, path) for number, path in enumerate(paths) if not path.is_file()]
     pool = ThreadPoolExecutor(jobs)
     try:
-        waiting = [pool.submit(write_part, own, number, path) for number, path in missing]
-        done = as_completed(waiting)
-        for one in tqdm(done, desc="composed", initial=count - len(missing), total=count, unit="clip"):
-            one.result()
+        futures = [pool.submit(write_part, composer, number, path) for number, path in missing]
+        done = as_completed(futures)
+        for future in tqdm(done, desc="composed", initial=count - len(missing), total=count, unit="clip"):
+            future.result()
     finally:
         pool.shutdown(cancel_futures=True)
     parts = [read_part(path) for path in paths]
     clips = [clip for clip, _ in parts if len(clip.joints)]
-    write_data(out, clips, own.pipe.manifest.fps)
+    write_data(out, clips, composer.pipe.manifest.fps)
     return {
         "clips": len(clips),
         "left_out": count - len(clips),
@@ -244,36 +265,38 @@ def _json(value: object) -> bytes:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """The command line; 2 on bad input, with the reason on stderr; 130 interrupted."""
+    """Run the command line; returns 2 on bad input, with the reason on stderr, and 130 if interrupted."""
     parser = argparse.ArgumentParser(prog="kinegraph_training.compml", description=__doc__.split("\n\n")[0])
-    parser.add_argument("--data", type=Path, required=True, help="recorded motion: which actions, manners and lengths")
+    parser.add_argument("--data", type=Path, required=True, help="captured motion: which actions, styles and lengths")
     parser.add_argument("--held-out", type=Path, required=True, help="JSON of action pairs that must not be composed")
     parser.add_argument("--bundle", type=Path, help="folder of the bundle that composes; the default bundle without it")
     parser.add_argument("--count", type=int, required=True, help="clips to make")
     parser.add_argument("--out", type=Path, required=True, help="data folder to write")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--jobs", type=int, default=available_cpus(), help="clips made at a time (default: all cores)")
-    given = parser.parse_args(arguments)
+    parsed = parser.parse_args(arguments)
     try:
         for name, most in (("count", MAX_COUNT), ("jobs", MAX_THREADS)):
-            if not 1 <= getattr(given, name) <= most:
-                raise InvalidInputError(f"--{name} must be 1 to {most}, not {getattr(given, name)}")
-        if given.seed < 0:
-            raise InvalidInputError(f"--seed must be 0 or more, not {given.seed}")
-        pipe = MotionPipeline.load(given.bundle, threads=1)
-        own = composer(pipe, given.data, given.held_out, given.seed)
-        origin = origin_of(pipe, given.data, given.held_out, given.seed)
-        begin(given.out, origin)
-        counts = compose_all(own, given.out, given.count, given.jobs)
-        write_atomically(given.out / "provenance.json", _json({"origin": origin, **counts}))
+            if not 1 <= getattr(parsed, name) <= most:
+                raise InvalidInputError(f"--{name} must be 1 to {most}, not {getattr(parsed, name)}")
+        if parsed.seed < 0:
+            raise InvalidInputError(f"--seed must be 0 or more, not {parsed.seed}")
+        pipe = MotionPipeline.load(parsed.bundle, threads=1)
+        composer = make_composer(pipe, parsed.data, parsed.held_out, parsed.seed)
+        origin = describe_origin(pipe, parsed.data, parsed.held_out, parsed.seed)
+        claim_folder(parsed.out, origin)
+        counts = compose_all(composer, parsed.out, parsed.count, parsed.jobs)
+        write_atomically(parsed.out / "provenance.json", _json({"origin": origin, **counts}))
     except KinegraphError as error:
         print(f"error: {error}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:
-        print(f"stopped; the same command goes on from what is in {given.out}", file=sys.stderr)
+        print(f"stopped; the same command goes on from what is in {parsed.out}", file=sys.stderr)
         return 130
-    made, missing, rejected = counts.values()
-    print(f"{given.out}: {made} clips, {rejected} motions drawn again, {missing} clips left out")
+    print(
+        f"{parsed.out}: {counts['clips']} clips, {counts['rejected']} motions drawn again, "
+        f"{counts['left_out']} clips left out"
+    )
     return 0
 
 

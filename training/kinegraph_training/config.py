@@ -1,4 +1,4 @@
-"""Presets: what is trained and how, read strictly from TOML (presets/*.toml or a file of your own)."""
+"""Presets: the shapes and schedules of a model, read strictly from TOML (presets/*.toml, or a file of a user's)."""
 
 from __future__ import annotations
 
@@ -7,52 +7,56 @@ from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any, TypeVar
 
+from kinegraph.bundle.contract import LEVELS
 from kinegraph.errors import InvalidInputError
 from kinegraph_training.models.denoiser import DenoiserConfig
 from kinegraph_training.models.vae import VaeConfig
 
-LEVELS = ("motion", "action", "specific")
 T = TypeVar("T")
 
 
 @dataclass(frozen=True)
 class DataConfig:
-    """What is trained on."""
+    """Training data of a model: limits of captured clips, and numbers of synthetic ones."""
 
     min_frames: int = 16
     max_frames: int = 196
     splices: int = 700
-    """Made clips of two actions at once; 0 for data without content labels."""
+    """Synthetic clips of two actions at once; 0 for data without action labels."""
     sequences: int = 700
-    """Made clips of one action after another."""
+    """Synthetic clips of one action after another."""
     excerpts: int = 0
-    """Walks and runs of other lengths than the recorded ones."""
+    """Synthetic walks and runs of other lengths than the captured ones."""
     paces: int = 0
-    """Walks, runs and turns slower and faster than recorded, whose captions say so."""
+    """Synthetic walks, runs and turns at other speeds than captured, with captions that say so."""
     rare_weight: float = 3.0
-    """How much more often the denoisers see clips of contents with fewer than 50 clips."""
+    """How many times more often the denoisers see clips of actions with few clips."""
     seed: int = 7
-    """Of the made clips; apart from that of training, so that runs of several seeds share their data."""
+    """Of the synthetic clips; apart from the seed of training, so that runs of several seeds share their data."""
 
 
 @dataclass(frozen=True)
 class OptimiserConfig:
-    """One stage's schedule."""
+    """Optimiser and schedule of one training stage."""
 
     steps: int
     learning_rate: float
+    """Peak."""
     warmup: int
+    """Steps."""
     batch: int
     """Clips per step for denoisers, frames per step for autoencoders."""
     ema: float
+    """Decay of the weight average."""
     beta2: float = 0.98
     weight_decay: float = 0.01
     clip: float = 1.0
+    """Largest norm of the gradient."""
 
 
 @dataclass(frozen=True)
 class Preset:
-    """Everything one model needs to be trained and exported."""
+    """Everything that one model needs to be trained and exported."""
 
     name: str
     seed: int
@@ -63,8 +67,8 @@ class Preset:
     denoiser_training: OptimiserConfig
 
 
-def decoded(kind: type[T], table: dict[str, Any], where: str) -> T:
-    """A flat dataclass from a TOML table; unknown and missing keys are errors."""
+def parse_table(kind: type[T], table: dict[str, Any], where: str) -> T:
+    """Make a flat dataclass from a TOML table; unknown and missing keys are errors."""
     known = {field.name for field in fields(kind)}  # type: ignore[arg-type]
     unknown = sorted(set(table) - known)
     if unknown:
@@ -76,29 +80,29 @@ def decoded(kind: type[T], table: dict[str, Any], where: str) -> T:
 
 
 def read_preset(name_or_path: str) -> Preset:
-    """A preset of this package by name, or a TOML file; its `base`, if it has one, is a preset that it changes.
+    """Read a preset of this package by name, or a TOML file, which may change a `base` preset.
 
     Raises:
         InvalidInputError: no such preset, or a table that breaks the format.
     """
-    table, name = preset_table(name_or_path)
+    table, name = read_preset_table(name_or_path)
     vae, training = table["vae"], table["vae_training"]
     return Preset(
         name=name,
         seed=table.get("seed", 0),
-        data=decoded(DataConfig, table.get("data", {}), "data"),
-        vae={level: decoded(VaeConfig, vae["shared"] | vae[level], f"vae.{level}") for level in LEVELS},
+        data=parse_table(DataConfig, table.get("data", {}), "data"),
+        vae={level: parse_table(VaeConfig, vae["shared"] | vae[level], f"vae.{level}") for level in LEVELS},
         vae_training={
-            level: decoded(OptimiserConfig, training["shared"] | training.get(level, {}), f"vae_training.{level}")
+            level: parse_table(OptimiserConfig, training["shared"] | training.get(level, {}), f"vae_training.{level}")
             for level in LEVELS
         },
-        denoiser=decoded(DenoiserConfig, table["denoiser"], "denoiser"),
-        denoiser_training=decoded(OptimiserConfig, table["denoiser_training"], "denoiser_training"),
+        denoiser=parse_table(DenoiserConfig, table["denoiser"], "denoiser"),
+        denoiser_training=parse_table(OptimiserConfig, table["denoiser_training"], "denoiser_training"),
     )
 
 
-def preset_table(name_or_path: str, depth: int = 0) -> tuple[dict[str, Any], str]:
-    """The tables of a preset on top of those of its base, and its name."""
+def read_preset_table(name_or_path: str, depth: int = 0) -> tuple[dict[str, Any], str]:
+    """Read the tables of a preset on top of those of its base; returns them and the preset's name."""
     folder = Path(__file__).parent / "presets"
     path = Path(name_or_path) if name_or_path.endswith(".toml") else folder / f"{name_or_path}.toml"
     if not path.is_file():
@@ -112,16 +116,16 @@ def preset_table(name_or_path: str, depth: int = 0) -> tuple[dict[str, Any], str
     if base is not None:
         if depth > 4:
             raise InvalidInputError(f"{path}: its base leads back to it")
-        # A path is meant from the file that names it.
-        wanted = str(path.parent / base) if base.endswith(".toml") else base
-        table = merged(preset_table(wanted, depth + 1)[0], table)
+        # A path is relative to the file that names it.
+        base_name = str(path.parent / base) if base.endswith(".toml") else base
+        table = merge_tables(read_preset_table(base_name, depth + 1)[0], table)
     return table, path.stem
 
 
-def merged(base: dict[str, Any], changes: dict[str, Any]) -> dict[str, Any]:
-    """Tables within tables, the changes on top."""
+def merge_tables(base: dict[str, Any], changes: dict[str, Any]) -> dict[str, Any]:
+    """Merge nested tables; changes replace what the base holds."""
     both = {**base, **changes}
     for name in base.keys() & changes.keys():
         if isinstance(base[name], dict) and isinstance(changes[name], dict):
-            both[name] = merged(base[name], changes[name])
+            both[name] = merge_tables(base[name], changes[name])
     return both

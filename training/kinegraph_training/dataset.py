@@ -1,9 +1,10 @@
-"""The clips of one training run: recorded, made and mirrored, as features with their normalisation."""
+"""Clips of one training run, captured and synthetic, as normalised features."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from enum import IntEnum
 from pathlib import Path
 
 import numpy as np
@@ -13,23 +14,37 @@ from kinegraph.errors import InvalidInputError
 from kinegraph.motion.features import features_from_joints, normalisation
 from kinegraph_training.config import DataConfig
 from kinegraph_training.data.clips import MotionClip, mirrored_clip, read_split
-from kinegraph_training.synthetic.caption_grammar import counted_captions
+from kinegraph_training.synthetic.caption_grammar import step_count_captions
 from kinegraph_training.synthetic.compositions import HeldOut, make_sequences, make_splices
-from kinegraph_training.synthetic.excerpts import in_manners_that_turn, make_excerpts
-from kinegraph_training.synthetic.time_scaling import make_paces, paced_clips
+from kinegraph_training.synthetic.excerpts import make_excerpts, select_turning_styles
+from kinegraph_training.synthetic.time_scaling import make_time_scaled, time_scaled_copies
+
+
+class SeedStream(IntEnum):
+    """Random streams of the synthetic data; each is seeded with `DataConfig.seed` plus its number."""
+
+    SPLICES = 0
+    SEQUENCES = 1
+    STEP_COUNTS = 2
+    TIME_SCALED_COPIES = 3
+    EXCERPTS = 4
+    TIME_SCALED = 5
 
 
 @dataclass(frozen=True)
 class Dataset:
-    """Clips with group-normalised features of the same order."""
+    """Clips with their group-normalised features."""
 
     clips: list[MotionClip]
     features: list[FloatArray]
+    """Per clip (frames, 137)."""
     mean: FloatArray
+    """(137,) of the normalisation."""
     std: FloatArray
+    """(137,) of the normalisation."""
 
     def under(self, mean: FloatArray, std: FloatArray) -> Dataset:
-        """The same under another normalisation, (137,) each."""
+        """Bring the features under another normalisation, (137,) each."""
         gain, shift = self.std / std, (self.mean - mean) / std
         return Dataset(self.clips, [rows * gain + shift for rows in self.features], mean, std)
 
@@ -37,38 +52,50 @@ class Dataset:
 def training_clips(
     folder: Path, config: DataConfig, held_out: Path | None, more: Sequence[Path] = ()
 ) -> list[MotionClip]:
-    """Recorded clips of the `train` split and made compositions, each also mirrored.
+    """Read the `train` split, add synthetic clips, and add the mirror image of every clip.
 
-    Compositions need the action's label in index.jsonl: clips without one (a user's own) are trained on as they are,
-    and so are those of the folders in `more` (`kinegraph_training.compml`).
+    Synthetic clips need action labels in index.jsonl: clips without (a user's own) are trained on as they are.
+
+    Args:
+        folder: of captured data.
+        config: which synthetic clips, and how many.
+        held_out: JSON file of the pairs that must not be composed.
+        more: further data folders, used as they are (`kinegraph_training.compml`).
 
     Raises:
-        InvalidInputError: compositions are asked for without the list of pairs to hold out.
+        InvalidInputError: compositions are asked for without `held_out`.
     """
     clips = [clip for clip in read_split(folder, "train") if len(clip.joints) >= config.min_frames]
-    labelled = [clip for clip in clips if clip.content]
+    labelled = [clip for clip in clips if clip.actions]
     if labelled and (config.splices or config.sequences):
         if held_out is None:
             raise InvalidInputError(
                 "splices and sequences need --held-out FILE (pairs never to be made); or set both to 0 in [data]"
             )
-        held = HeldOut.read(held_out)
-        made = make_splices(labelled, config.splices, held, config.seed)
-        made += make_sequences(labelled, config.sequences, held, config.seed + 1, config.max_frames)
-        clips = with_counted_steps(clips, config.seed + 2) + made
-    turning = in_manners_that_turn(labelled)
-    excerpts = make_excerpts(turning, config.excerpts, config.seed + 4, config.max_frames)
-    clips += excerpts + make_paces(turning + excerpts, config.paces, config.seed + 5, config.max_frames)
-    clips += [clip for own in more for clip in read_split(own, "train") if len(clip.joints) >= config.min_frames]
+        pairs = HeldOut.read(held_out)
+        compositions = make_splices(labelled, config.splices, pairs, config.seed + SeedStream.SPLICES)
+        compositions += make_sequences(
+            labelled, config.sequences, pairs, config.seed + SeedStream.SEQUENCES, config.max_frames
+        )
+        clips = add_step_counts(clips, config.seed + SeedStream.STEP_COUNTS) + compositions
+    turning = select_turning_styles(labelled)
+    excerpts = make_excerpts(turning, config.excerpts, config.seed + SeedStream.EXCERPTS, config.max_frames)
+    clips += excerpts + make_time_scaled(
+        turning + excerpts, config.paces, config.seed + SeedStream.TIME_SCALED, config.max_frames
+    )
+    for other in more:
+        clips += [clip for clip in read_split(other, "train") if len(clip.joints) >= config.min_frames]
     return clips + [mirrored_clip(clip) for clip in clips]
 
 
-def with_counted_steps(clips: list[MotionClip], seed: int) -> list[MotionClip]:
-    """More captions that say how many steps are taken: of recorded captions, 1 in 60 does, and a model that seldom
-    reads a number ignores it."""
+def add_step_counts(clips: list[MotionClip], seed: int) -> list[MotionClip]:
+    """Add captions that say how many steps are taken.
+
+    Of captured captions 1 in 60 does, and a model that seldom reads a number ignores it.
+    """
     rng = np.random.Generator(np.random.PCG64(seed))
     return [
-        replace(clip, captions=clip.captions + counted_captions(clip.content, clip.steps, clip.style, rng))
+        replace(clip, captions=clip.captions + step_count_captions(clip.action, clip.steps, clip.style, rng))
         for clip in clips
     ]
 
@@ -76,24 +103,43 @@ def with_counted_steps(clips: list[MotionClip], seed: int) -> list[MotionClip]:
 def training_set(
     folder: Path, config: DataConfig, held_out: Path | None, more: Sequence[Path] = (), *, paced: bool = False
 ) -> Dataset:
-    """The training clips, `paced` ones with them if asked for, under their own normalisation."""
+    """Make the training clips' features under their own normalisation.
+
+    Args:
+        folder: see `training_clips`.
+        config: see `training_clips`.
+        held_out: see `training_clips`.
+        more: see `training_clips`.
+        paced: add a copy of every clip at a random speed (`time_scaled_copies`).
+    """
     clips = training_clips(folder, config, held_out, more)
     if paced:
-        clips += paced_clips(clips, config, config.seed + 3)
+        clips += time_scaled_copies(clips, config, config.seed + SeedStream.TIME_SCALED_COPIES)
     features = [features_from_joints(clip.joints) for clip in clips]
     mean, std = normalisation(features)
     return Dataset(clips, [(rows - mean) / std for rows in features], mean, std)
 
 
 def validation_set(folder: Path, split: str, config: DataConfig, mean: FloatArray, std: FloatArray) -> Dataset:
-    """Recorded clips of another split, cut to the longest clip a model takes, under the training normalisation."""
+    """Read another split's captured clips, cut to `max_frames`, under the training normalisation."""
     clips = [clip for clip in read_split(folder, split) if len(clip.joints) >= config.min_frames]
     features = [(features_from_joints(clip.joints[: config.max_frames]) - mean) / std for clip in clips]
     return Dataset(clips, [np.asarray(rows, dtype=np.float32) for rows in features], mean, std)
 
 
-def limit_length(dataset: Dataset, max_frames: int) -> Dataset:
-    """Clips whose caption describes all that a latent may hold: longer ones are left out, not cut."""
-    keep = [i for i, rows in enumerate(dataset.features) if len(rows) <= max_frames]
-    clips, features = [dataset.clips[i] for i in keep], [dataset.features[i] for i in keep]
+def drop_long_clips(dataset: Dataset, max_frames: int) -> Dataset:
+    """Leave out clips longer than `max_frames`.
+
+    They cannot be cut for the denoisers, as a caption describes the whole of its clip.
+    """
+    indices = [i for i, rows in enumerate(dataset.features) if len(rows) <= max_frames]
+    clips, features = [dataset.clips[i] for i in indices], [dataset.features[i] for i in indices]
     return Dataset(clips, features, dataset.mean, dataset.std)
+
+
+def cut_long_clips(dataset: Dataset, max_frames: int) -> Dataset:
+    """Cut features to their first `max_frames`.
+
+    That is enough for the evaluator: of a few hundred frames of dance, the first ten seconds tell as much as the rest.
+    """
+    return Dataset(dataset.clips, [rows[:max_frames] for rows in dataset.features], dataset.mean, dataset.std)

@@ -1,10 +1,9 @@
-"""A folder of BVH files and a captions file -> a data folder that the training commands read.
+"""Convert a folder of BVH files and a captions file into a data folder for training.
 
     python -m kinegraph_training.prepare --bvh FOLDER --captions captions.csv --out data/mine
 
-Every clip is brought to the 22 joints, metres, 20 frames per second, Y up, with the floor at 0, and starts
-at the origin facing +Z. Which split a clip falls into depends on its name alone, so that it stays there when
-others come.
+Every clip is brought to the 22 joints, metres, 20 frames per second and Y up, with the floor at 0, starting at the
+origin and facing +Z. The split of a clip depends on its name alone, so that it stays when clips are added.
 """
 
 from __future__ import annotations
@@ -22,10 +21,10 @@ from tqdm import tqdm
 from kinegraph.arrays import FloatArray, Floats
 from kinegraph.errors import InvalidInputError, KinegraphError, OutputError
 from kinegraph.motion.skeleton import JOINT_INDEX, PELVIS, canonicalise
-from kinegraph_training.data.bvh import joint_positions, read_bvh, resampled
-from kinegraph_training.data.captions_file import matched, read_captions
-from kinegraph_training.data.folder import SPLITS, STEP_METRES, PreparedClip, split_of, write_data
-from kinegraph_training.data.retargeting import Source, joint_map, map_joints, read_map
+from kinegraph_training.data.bvh import joint_positions, read_bvh, resample_bvh
+from kinegraph_training.data.captions_file import match_captions, read_captions
+from kinegraph_training.data.folder import SPLITS, STEP_METRES, PreparedClip, assign_splits, write_data
+from kinegraph_training.data.retargeting import Source, find_joint_map, map_joints, read_map
 
 UNITS: Final[dict[str, float]] = {
     "metres": 1.0,
@@ -34,26 +33,27 @@ UNITS: Final[dict[str, float]] = {
     "centimetres": 0.01,
     "millimetres": 0.001,
 }
+"""Metres per unit, of the units that files come in."""
 LEG_METRES: Final = (0.6, 1.2)
-"""Thigh plus shank of a grown body; only one of `UNITS` brings a leg into this range."""
-
+"""Range of thigh plus shank of an adult; at most one of `UNITS` brings a leg into it."""
 MAX_FPS: Final = 240
 
 _LEGS: Final = (("left_hip", "left_knee", "left_ankle"), ("right_hip", "right_knee", "right_ankle"))
-_SHOWN: Final = 10
+_MAX_LISTED: Final = 10
+"""Faults that an error message lists."""
 
 
 @dataclass(frozen=True)
 class PrepareOptions:
-    """How BVH files are read and divided."""
+    """Options of reading BVH files and dividing them into splits."""
 
     fps: float = 20.0
     scale: float | None = None
     """Metres per unit of the files; None guesses it from the length of the legs."""
     up: str = "y"
     """Axis that points up in the files: "y" or "z"."""
-    own_map: Mapping[str, Source] = field(default_factory=dict)
-    """Entries of a map file, before the built-in tables."""
+    joint_sources: Mapping[str, Source] = field(default_factory=dict)
+    """Entries of a map file, which come before the built-in naming conventions."""
     val: float = 0.05
     """Share of clips for model selection."""
     test: float = 0.05
@@ -65,7 +65,17 @@ class PrepareOptions:
 def prepare(
     bvh: Path, captions: Path, out: Path, options: PrepareOptions, *, force: bool = False
 ) -> list[PreparedClip]:
-    """Read, convert and write everything; nothing is written unless all of it can be.
+    """Read, convert and write all clips; nothing is written unless all can be.
+
+    Args:
+        bvh: folder, searched with its subfolders.
+        captions: captions file.
+        out: data folder to write.
+        options: see `PrepareOptions`.
+        force: replace data that `out` holds.
+
+    Returns:
+        The clips that were written.
 
     Raises:
         InvalidInputError: files, captions, names or options that do not fit; the message names them.
@@ -74,9 +84,9 @@ def prepare(
     _check_options(options)
     _check_out(out, force)
     files = _bvh_files(bvh)
-    texts = matched(read_captions(captions), files)
+    texts = match_captions(read_captions(captions), files)
     joints = _read_all(files, options)
-    splits = split_of(list(joints), val=options.val, test=options.test)
+    splits = assign_splits(list(joints), val=options.val, test=options.test)
     clips = [
         PreparedClip(name, joints[name], texts[name], files[name].relative_to(bvh).as_posix(), splits[name])
         for name in sorted(joints)
@@ -86,34 +96,36 @@ def prepare(
 
 
 def clip_joints(path: Path, options: PrepareOptions) -> FloatArray:
-    """Joints (frames, 22, 3) of one BVH file, placed as all clips are.
+    """Read the joints of one BVH file in metres, Y up, starting at the origin and facing +Z.
+
+    Returns:
+        (frames, 22, 3).
 
     Raises:
-        InvalidInputError: broken file, joints that cannot be mapped, no sensible size, or less than two
-        frames.
+        InvalidInputError: broken file, joints that cannot be mapped, no sensible size, or less than two frames.
     """
     motion = read_bvh(path)
     try:
-        sources = joint_map(motion.names, options.own_map)
-        motion = resampled(motion, options.fps)
-        places = map_joints(joint_positions(motion), motion.names, sources)
-        if len(places) < 2:
+        joint_map = find_joint_map(motion.names, options.joint_sources)
+        motion = resample_bvh(motion, options.fps)
+        positions = map_joints(joint_positions(motion), motion.names, joint_map)
+        if len(positions) < 2:
             raise InvalidInputError(f"less than two frames at {options.fps:g} frames per second; too short to train on")
-        scale = unit_of(places) if options.scale is None else options.scale
-        joints = canonicalise(_y_up(places, options.up) * scale)
+        scale = guess_unit(positions) if options.scale is None else options.scale
+        joints = canonicalise(_to_y_up(positions, options.up) * scale)
         _check_range(joints)
     except InvalidInputError as error:
         raise InvalidInputError(f"{path}: {error}") from error
     return joints
 
 
-def unit_of(places: Floats) -> float:
-    """Metres per unit, guessed from the mean length of the legs (frames, 22, 3).
+def guess_unit(positions: Floats) -> float:
+    """Guess the metres per unit from the mean length of the legs of (frames, 22, 3).
 
     Raises:
-        InvalidInputError: no common unit gives a grown body.
+        InvalidInputError: no unit of `UNITS` gives an adult.
     """
-    leg = np.mean([_length(places, a, b) + _length(places, b, c) for a, b, c in _LEGS])
+    leg = np.mean([_mean_length(positions, a, b) + _mean_length(positions, b, c) for a, b, c in _LEGS])
     for unit in UNITS.values():
         if LEG_METRES[0] <= leg * unit <= LEG_METRES[1]:
             return unit
@@ -123,15 +135,15 @@ def unit_of(places: Floats) -> float:
     )
 
 
-def _length(places: Floats, start: str, end: str) -> float:
-    bones = places[:, JOINT_INDEX[end]] - places[:, JOINT_INDEX[start]]
+def _mean_length(positions: Floats, start: str, end: str) -> float:
+    bones = positions[:, JOINT_INDEX[end]] - positions[:, JOINT_INDEX[start]]
     return float(np.linalg.norm(bones, axis=-1).mean())
 
 
-def _y_up(places: Floats, up: str) -> Floats:
+def _to_y_up(positions: Floats, up: str) -> Floats:
     if up == "y":
-        return places
-    return np.stack([places[..., 0], places[..., 2], -places[..., 1]], axis=-1)
+        return positions
+    return np.stack([positions[..., 0], positions[..., 2], -positions[..., 1]], axis=-1)
 
 
 def _check_options(options: PrepareOptions) -> None:
@@ -148,6 +160,7 @@ def _check_options(options: PrepareOptions) -> None:
 
 
 def _check_range(joints: FloatArray) -> None:
+    """Refuse joints that 16-bit multiples of `STEP_METRES` cannot hold."""
     relative = joints * [1, 1, 1]
     relative[..., [0, 2]] -= joints[:, PELVIS : PELVIS + 1, [0, 2]]
     if not np.isfinite(joints).all() or np.abs(relative).max() / STEP_METRES > np.iinfo(np.int16).max:
@@ -186,7 +199,7 @@ def _read_all(files: Mapping[str, Path], options: PrepareOptions) -> dict[str, F
         except InvalidInputError as error:
             problems.append(str(error))
     if problems and (not options.skip_broken or not joints):
-        listed = "\n".join(problems[:_SHOWN])
+        listed = "\n".join(problems[:_MAX_LISTED])
         raise InvalidInputError(
             f"{len(problems)} of {len(files)} files cannot be used (--skip-broken leaves them out):\n{listed}"
         )
@@ -214,24 +227,24 @@ def _parser() -> argparse.ArgumentParser:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """The command line; 2 on bad input, with the reason on stderr."""
-    given = _parser().parse_args(arguments)
+    """Run the command line; returns 2 on bad input, with the reason on stderr."""
+    parsed = _parser().parse_args(arguments)
     try:
         options = PrepareOptions(
-            fps=given.fps,
-            scale=given.scale,
-            up=given.up,
-            own_map=read_map(given.map) if given.map else {},
-            val=given.val,
-            test=given.test,
-            skip_broken=given.skip_broken,
+            fps=parsed.fps,
+            scale=parsed.scale,
+            up=parsed.up,
+            joint_sources=read_map(parsed.map) if parsed.map else {},
+            val=parsed.val,
+            test=parsed.test,
+            skip_broken=parsed.skip_broken,
         )
-        clips = prepare(given.bvh, given.captions, given.out, options, force=given.force)
+        clips = prepare(parsed.bvh, parsed.captions, parsed.out, options, force=parsed.force)
     except KinegraphError as error:
         print(f"error: {error}", file=sys.stderr)
         return 2
     counts = ", ".join(f"{sum(clip.split == split for clip in clips)} {split}" for split in SPLITS)
-    print(f"{given.out}: {len(clips)} clips ({counts}) at {given.fps:g} frames per second")
+    print(f"{parsed.out}: {len(clips)} clips ({counts}) at {parsed.fps:g} frames per second")
     return 0
 
 

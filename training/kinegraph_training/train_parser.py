@@ -25,7 +25,7 @@ from kinegraph.errors import InvalidInputError
 from kinegraph.graph import ARGUMENT_ROLES, OTHERS
 from kinegraph.text.argument_classifier import CLASSES, pack_weights
 from kinegraph.text.parser import GraphParser, frame_candidates, predicate_frames
-from kinegraph_training.synthetic.caption_grammar import MANNERS, PHRASES, sequence_caption, splice_caption
+from kinegraph_training.synthetic.caption_grammar import PHRASES, STYLE_PHRASES, sequence_caption, splice_caption
 
 PENALTY = 1.0
 """Coefficient of the L2 penalty."""
@@ -93,7 +93,7 @@ def gold_examples(parser: GraphParser, graphs: Iterable[dict[str, Any]]) -> Exam
             for action in graph["actions"]
             if action["arguments"]
         }
-        offsets = [(token.idx, token.idx + len(token)) for token in parse.written]
+        offsets = parse.offsets
         for frame, candidates in zip(frames, frame_candidates(parse, frames), strict=True):
             arguments = gold.get(_alphanumeric_offsets(caption, *offsets[frame.head.i]))
             if arguments is None:
@@ -197,7 +197,7 @@ def sample_captions(path: Path, count: int) -> list[str]:
     captions = [recorded[index] for index in rng.permutation(len(recorded))[:count]]
     for _ in range(count // 24):  # eight captions each
         first, second = (sorted(PHRASES)[index] for index in rng.choice(len(PHRASES), 2, replace=False))
-        style = sorted(MANNERS)[int(rng.integers(len(MANNERS)))]
+        style = sorted(STYLE_PHRASES)[int(rng.integers(len(STYLE_PHRASES)))]
         captions += [*sequence_caption(first, second, style, rng), *splice_caption(first, second, style, rng)]
     return captions
 

@@ -7,6 +7,7 @@ evaluator. The model is a ridge regression onto one-hot labels, solved in closed
 from __future__ import annotations
 
 from collections.abc import Sequence
+from operator import attrgetter
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +18,9 @@ from kinegraph_training.data.clips import MotionClip
 
 PENALTY = 1.0
 """Ridge penalty."""
+
+LABELS = {"content": attrgetter("action"), "style": attrgetter("style")}
+"""Labels of a clip by the name that reports give them."""
 
 
 def movement_statistics(joints: FloatArray) -> NDArray[np.float64]:
@@ -39,12 +43,12 @@ class LabelClassifier:
     def __init__(self, clips: Sequence[MotionClip]) -> None:
         rows = np.stack([movement_statistics(clip.joints) for clip in clips])
         self._mean, self._std = rows.mean(0), rows.std(0) + 1e-3
-        self.labels = {name: sorted({getattr(clip, name) for clip in clips}) for name in ("content", "style")}
+        self.labels = {name: sorted({label_of(clip) for clip in clips}) for name, label_of in LABELS.items()}
         design = self._design_matrix(rows)
         gram = design.T @ design + PENALTY * np.eye(design.shape[1])
         self._weights = {}
         for name, labels in self.labels.items():
-            target = np.array([[getattr(clip, name) == label for label in labels] for clip in clips], dtype=float)
+            target = np.array([[LABELS[name](clip) == label for label in labels] for clip in clips], dtype=float)
             self._weights[name] = np.linalg.solve(gram, design.T @ target)
 
     def __call__(self, motions: Sequence[FloatArray], name: str) -> list[str]:

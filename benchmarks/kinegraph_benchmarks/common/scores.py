@@ -16,7 +16,7 @@ from kinegraph.arrays import FloatArray
 from kinegraph_benchmarks.common.behaviour_prompts import ACTIONS, RARE
 from kinegraph_benchmarks.common.caption_claims import parse_claims
 from kinegraph_benchmarks.common.evaluator import Evaluator
-from kinegraph_benchmarks.common.label_classifier import LabelClassifier
+from kinegraph_benchmarks.common.label_classifier import LABELS, LabelClassifier
 from kinegraph_training import metrics
 from kinegraph_training.data.clips import MotionClip
 from kinegraph_training.metrics import diversity, frechet_distance, label_groups, matching_distance, r_precision
@@ -156,7 +156,7 @@ def label_hits(
     hits = {"behaviour": np.array(does)}
     for name in ("content", "style"):
         labels = classifier(motions, name)
-        hits[name] = np.array([float(label == getattr(clip, name)) for label, clip in zip(labels, clips, strict=True)])
+        hits[name] = np.array([float(label == LABELS[name](clip)) for label, clip in zip(labels, clips, strict=True)])
     return hits
 
 

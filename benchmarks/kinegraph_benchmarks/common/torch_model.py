@@ -20,7 +20,7 @@ from kinegraph.diffusion.sampling import LevelPlan, initial_noise
 from kinegraph.graph import SemanticGraph
 from kinegraph.motion.postprocess import enforce_bone_lengths, lock_feet
 from kinegraph_export.checkpoints import read_run
-from kinegraph_export.pipeline_parity import Request, torch_joints
+from kinegraph_export.pipeline_parity import SamplingRequest, torch_joints
 from kinegraph_training.bundle_tables import read_tables
 from kinegraph_training.data.caption_cache import CaptionEncoder, tokens_as_graph
 
@@ -84,7 +84,7 @@ class TorchModel:
         else:
             counts = {level: STEPS[level] for level in latents} if len(latents) > 1 else {LEVELS[-1]: ONE_STAGE_STEPS}
         plans = [LevelPlan(level, shape.tokens, shape.width, counts[level]) for level, shape in latents.items()]
-        request = Request(
+        request = SamplingRequest(
             round(seconds * FPS), initial_noise(seed, plans), counts, dict.fromkeys(latents, guidance), GUIDANCE_BASE
         )
         joints = torch_joints(self._trained, self._encode(caption), request, self._vae.mean, self._vae.std)
@@ -96,4 +96,4 @@ class TorchModel:
         if self._config.condition == "tokens":
             words = caption if isinstance(caption, str) else caption.caption
             return tokens_as_graph(self._encoder.hidden_states(words))
-        return self._encoder(caption)
+        return self._encoder.encode(caption)

@@ -1,7 +1,7 @@
-"""BVH files: the skeleton, its local motion, resampling, and where the joints are.
+"""BVH files: parsing, resampling, and forward kinematics.
 
-Read strictly: a file that is cut short or says one thing and holds another is refused, as training on it
-would not show.
+Parsing is strict. A file that is cut short, or whose header disagrees with its data, is refused: a model trained on it
+would not show the fault.
 """
 
 from __future__ import annotations
@@ -12,32 +12,32 @@ from pathlib import Path
 from typing import Final
 
 import numpy as np
-from kinegraph.arrays import Floats
 
+from kinegraph.arrays import Floats
 from kinegraph.errors import InvalidInputError
 from kinegraph.motion.quaternions import IDENTITY, about_axis, multiply, rotate, slerp
 
 AXES: Final = {"X": 0, "Y": 1, "Z": 2}
 END: Final = ".end"
-"""`Head.end` is the End Site of `Head`."""
+"""Suffix of the name of an End Site: `Head.end` is that of `Head`."""
 
 
 @dataclass(frozen=True)
 class Bone:
-    """One joint of the hierarchy."""
+    """Joint of the hierarchy, with the bone from its parent."""
 
     name: str
     parent: int
     """-1 for a root."""
     offset: tuple[float, float, float]
-    """From the parent at rest, in the units of the file."""
+    """From the parent, in the units of the file."""
     channels: tuple[str, ...] = ()
     """For example ("Xposition", "Zrotation"); none for an End Site."""
 
 
 @dataclass(frozen=True)
 class BvhMotion:
-    """What a file holds, in its own units and axes."""
+    """Motion of a file, in its own units and axes."""
 
     bones: tuple[Bone, ...]
     """Parents before children."""
@@ -55,8 +55,8 @@ class BvhMotion:
 
 
 @dataclass
-class _Open:
-    """A joint whose closing brace has not come."""
+class _OpenJoint:
+    """Joint whose closing brace has not been read."""
 
     name: str
     parent: int
@@ -66,10 +66,10 @@ class _Open:
 
 
 def read_bvh(path: Path) -> BvhMotion:
-    """The motion of a file.
+    """Read a BVH file.
 
     Raises:
-        InvalidInputError: it is missing or no BVH file; the message names file and fault.
+        InvalidInputError: missing, or not a BVH file; the message names file and fault.
     """
     try:
         data = path.read_bytes()
@@ -84,13 +84,13 @@ def read_bvh(path: Path) -> BvhMotion:
 
 
 def parse_bvh(text: str) -> BvhMotion:
-    """As `read_bvh`, from the text of a file."""
-    # A line of its own: joints may be called "motion" too.
+    """Parse the text of a BVH file; see `read_bvh`."""
+    # MOTION stands on a line of its own; joints may be called "motion" too.
     head, *rest = re.split(r"^[ \t]*MOTION[ \t]*\r?$", text, maxsplit=1, flags=re.MULTILINE)
     if not head.lstrip().upper().startswith("HIERARCHY") or not rest:
         raise InvalidInputError("no BVH file: it must start with HIERARCHY and have a MOTION part")
-    bones = _hierarchy(head.lstrip())
-    frames, frame_time, values = _motion(rest[0])
+    bones = _parse_hierarchy(head.lstrip())
+    frames, frame_time, values = _parse_motion(rest[0])
     width = sum(len(bone.channels) for bone in bones)
     if len(values) != frames * width:
         raise InvalidInputError(
@@ -103,42 +103,47 @@ def parse_bvh(text: str) -> BvhMotion:
     return BvhMotion(tuple(bones), positions, rotations, frame_time)
 
 
-def resampled(motion: BvhMotion, fps: float) -> BvhMotion:
-    """The motion at another frame rate: rotations by slerp (Shoemake, 1985), positions linearly.
+def resample_bvh(motion: BvhMotion, fps: float) -> BvhMotion:
+    """Resample to another frame rate, rotations by slerp (Shoemake, 1985), positions linearly.
 
-    It lasts as long as before, or less than one frame shorter.
+    The motion keeps its duration, or loses less than one frame.
     """
     last = float(len(motion.positions) - 1)
     count = int(last * motion.frame_time * fps + 1e-4) + 1
-    place: Floats = np.minimum(np.arange(count) / (fps * motion.frame_time), last)
-    # Frame times are rounded in the file (0.0333333): a place that close to a frame is that frame.
-    place = np.where(np.abs(place - np.round(place)) < 1e-3, np.round(place), place)
-    before = np.floor(place).astype(np.int64)
+    position: Floats = np.minimum(np.arange(count) / (fps * motion.frame_time), last)
+    # Frame times are rounded in the file (0.0333333): a position that close to a frame is that frame.
+    position = np.where(np.abs(position - np.round(position)) < 1e-3, np.round(position), position)
+    before = np.floor(position).astype(np.int64)
     after = np.minimum(before + 1, len(motion.positions) - 1)
-    share = place - before
+    fraction = position - before
     positions = motion.positions[before]
-    positions = positions + share[:, None, None] * (motion.positions[after] - positions)
-    shares = np.broadcast_to(share[:, None], (count, len(motion.bones)))
-    rotations = slerp(motion.rotations[before], motion.rotations[after], shares)
+    positions = positions + fraction[:, None, None] * (motion.positions[after] - positions)
+    fractions = np.broadcast_to(fraction[:, None], (count, len(motion.bones)))
+    rotations = slerp(motion.rotations[before], motion.rotations[after], fractions)
     return replace(motion, positions=positions, rotations=rotations, frame_time=1.0 / fps)
 
 
 def joint_positions(motion: BvhMotion) -> Floats:
-    """Where every joint is: (frames, bones, 3) in the units and axes of the file."""
-    places = np.array(motion.positions)
-    turns = np.array(motion.rotations)
+    """Compute the global position of every joint by forward kinematics.
+
+    Returns:
+        (frames, bones, 3) in the units and axes of the file.
+    """
+    positions = np.array(motion.positions)
+    rotations = np.array(motion.rotations)
     for index, bone in enumerate(motion.bones):
         if bone.parent >= 0:
-            above = turns[:, bone.parent]
-            places[:, index] = places[:, bone.parent] + rotate(above, motion.positions[:, index])
-            turns[:, index] = multiply(above, motion.rotations[:, index])
-    return places
+            parent = rotations[:, bone.parent]
+            positions[:, index] = positions[:, bone.parent] + rotate(parent, motion.positions[:, index])
+            rotations[:, index] = multiply(parent, motion.rotations[:, index])
+    return positions
 
 
-def _hierarchy(head: str) -> list[Bone]:
+def _parse_hierarchy(head: str) -> list[Bone]:
+    """Parse the HIERARCHY part; returns joints in the order of the file, parents before children."""
     lines = head.replace("{", "\n{\n").replace("}", "\n}\n").splitlines()[1:]
     done: dict[int, Bone] = {}
-    stack: list[_Open] = []
+    stack: list[_OpenJoint] = []
     count = 0
     for line in lines:
         words = line.split()
@@ -148,14 +153,14 @@ def _hierarchy(head: str) -> list[Bone]:
         if key in ("ROOT", "JOINT", "END"):
             parent = stack[-1] if stack else None
             name = parent.name + END if key == "END" and parent else " ".join(words[1:])
-            stack.append(_Open(name, parent.index if parent else -1, index=count))
+            stack.append(_OpenJoint(name, parent.index if parent else -1, index=count))
             count += 1
         elif not stack:
             raise InvalidInputError(f"{line.strip()!r} stands outside of every joint in the HIERARCHY part")
         elif key == "OFFSET":
-            stack[-1].offset = _offset(stack[-1].name, words[1:])
+            stack[-1].offset = _parse_offset(stack[-1].name, words[1:])
         elif key == "CHANNELS":
-            stack[-1].channels = _channels(stack[-1].name, words[1:])
+            stack[-1].channels = _parse_channels(stack[-1].name, words[1:])
         elif key == "}":
             joint = stack.pop()
             if joint.offset is None:
@@ -168,7 +173,7 @@ def _hierarchy(head: str) -> list[Bone]:
     return [done[index] for index in range(count)]
 
 
-def _offset(name: str, words: list[str]) -> tuple[float, float, float]:
+def _parse_offset(name: str, words: list[str]) -> tuple[float, float, float]:
     try:
         x, y, z = (float(word) for word in words)
     except ValueError as error:
@@ -178,7 +183,7 @@ def _offset(name: str, words: list[str]) -> tuple[float, float, float]:
     return x, y, z
 
 
-def _channels(name: str, words: list[str]) -> tuple[str, ...]:
+def _parse_channels(name: str, words: list[str]) -> tuple[str, ...]:
     channels = tuple(word[:1].upper() + word[1:].lower() for word in words[1:])
     known = all(word[0] in AXES and word[1:] in ("position", "rotation") for word in channels)
     if not words or words[0] != str(len(channels)) or not known or len(set(channels)) < len(channels):
@@ -189,7 +194,8 @@ def _channels(name: str, words: list[str]) -> tuple[str, ...]:
     return channels
 
 
-def _motion(text: str) -> tuple[int, float, Floats]:
+def _parse_motion(text: str) -> tuple[int, float, Floats]:
+    """Parse the MOTION part; returns number of frames, frame time in seconds, and all values in one row."""
     words = text.split()
     try:
         if words[0].rstrip(":") != "Frames" or [words[2], words[3].rstrip(":")] != ["Frame", "Time"]:
@@ -206,18 +212,18 @@ def _motion(text: str) -> tuple[int, float, Floats]:
 
 
 def _local_motion(bones: list[Bone], values: Floats) -> tuple[Floats, Floats]:
+    """Compute positions and rotations relative to the parents from channel values (frames, channels)."""
     positions = np.tile(np.array([bone.offset for bone in bones]), (len(values), 1, 1))
     rotations = np.tile(np.array(IDENTITY), (len(values), len(bones), 1))
     column = 0
     for index, bone in enumerate(bones):
         for channel in bone.channels:
-            axis, numbers = AXES[channel[0]], values[:, column]
+            axis, column_values = AXES[channel[0]], values[:, column]
             column += 1
             if channel.endswith("position"):
-                # Position channels replace the OFFSET, as in the files of Bandai Namco and of motion capture
-                # roots.
-                positions[:, index, axis] = numbers
+                # Position channels replace the OFFSET, as in Bandai Namco's files and for roots of motion capture.
+                positions[:, index, axis] = column_values
             else:
-                # The channel named first is the outermost turn.
-                rotations[:, index] = multiply(rotations[:, index], about_axis(axis, np.radians(numbers)))
+                # The channel named first is the outermost rotation.
+                rotations[:, index] = multiply(rotations[:, index], about_axis(axis, np.radians(column_values)))
     return positions, rotations

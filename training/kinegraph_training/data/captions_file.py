@@ -1,6 +1,6 @@
-"""A user's captions.
+"""Captions files of users.
 
-JSON lines `{"file": "walk.bvh", "captions": ["a person walks"]}`, or a table with the columns file and
+Either JSON lines such as `{"file": "walk.bvh", "captions": ["a person walks"]}`, or a table with the columns file and
 caption.
 """
 
@@ -15,16 +15,20 @@ from kinegraph.errors import InvalidInputError
 from kinegraph.limits import MAX_TEXT
 
 Line = tuple[int, str, str]
-"""Number in the file, name of a motion file, caption."""
+"""Line number, name of a motion file, caption."""
 
-_SHOWN = 10
+_MAX_LISTED = 10
+"""Names that an error message lists."""
 
 
 def read_captions(path: Path) -> dict[str, tuple[str, ...]]:
-    """Captions by the name of the motion file, as written; the suffix of `path` says what it is.
+    """Read a captions file; its suffix tells the format.
+
+    Returns:
+        Captions by the name of the motion file, as written.
 
     Raises:
-        InvalidInputError: unreadable, of another kind, or a line that breaks the format; the message says.
+        InvalidInputError: unreadable, an unknown suffix, or a line that breaks the format; the message names it.
     """
     readers = {".jsonl": _json_lines, ".csv": _comma_rows, ".tsv": _tab_rows}
     reader = readers.get(path.suffix.lower())
@@ -50,21 +54,27 @@ def read_captions(path: Path) -> dict[str, tuple[str, ...]]:
     return {name: tuple(texts) for name, texts in captions.items()}
 
 
-def matched(captions: Mapping[str, tuple[str, ...]], ids: Iterable[str]) -> dict[str, tuple[str, ...]]:
-    """Captions by clip id.
+def match_captions(captions: Mapping[str, tuple[str, ...]], ids: Iterable[str]) -> dict[str, tuple[str, ...]]:
+    """Match captions to clips.
 
-    A file may be named by its path below the folder or, if only one has it, by its name alone; with its
-    suffix or without.
+    A file may be named by its path below the folder or, if unique, by its name alone; with its suffix or without.
+
+    Args:
+        captions: of `read_captions`.
+        ids: of the clips: paths below the folder, without suffix.
+
+    Returns:
+        Captions by clip id.
 
     Raises:
         InvalidInputError: captions without a file, or files without captions; the message names them.
     """
     by_name: dict[str, list[str]] = {}
-    for each in ids:
-        for name in {each, each.rpartition("/")[2]}:
-            by_name.setdefault(name, []).append(each)
-    result: dict[str, tuple[str, ...]] = {each: () for hits in by_name.values() for each in hits}
-    lost = []
+    for clip_id in ids:
+        for name in {clip_id, clip_id.rpartition("/")[2]}:
+            by_name.setdefault(name, []).append(clip_id)
+    result: dict[str, tuple[str, ...]] = {clip_id: () for hits in by_name.values() for clip_id in hits}
+    unmatched = []
     for name, texts in captions.items():
         plain = name.replace("\\", "/").removeprefix("./")
         plain = plain[: -len(".bvh")] if plain.lower().endswith(".bvh") else plain
@@ -72,18 +82,18 @@ def matched(captions: Mapping[str, tuple[str, ...]], ids: Iterable[str]) -> dict
         if len(hits) == 1:
             result[hits[0]] += texts
         else:
-            lost.append(f"{name} (which of {', '.join(hits)}?)" if hits else name)
-    bare = [each for each, texts in result.items() if not texts]
-    problems = [f"captions without a BVH file: {_some(lost)}"] if lost else []
-    problems += [f"BVH files without a caption: {_some(bare)}"] if bare else []
+            unmatched.append(f"{name} (which of {', '.join(hits)}?)" if hits else name)
+    uncaptioned = [clip_id for clip_id, texts in result.items() if not texts]
+    problems = [f"captions without a BVH file: {_list_names(unmatched)}"] if unmatched else []
+    problems += [f"BVH files without a caption: {_list_names(uncaptioned)}"] if uncaptioned else []
     if problems:
         raise InvalidInputError("; ".join(problems))
     return result
 
 
-def _some(names: list[str]) -> str:
-    more = len(names) - _SHOWN
-    return ", ".join(sorted(names)[:_SHOWN]) + (f" and {more} more" if more > 0 else "")
+def _list_names(names: list[str]) -> str:
+    more = len(names) - _MAX_LISTED
+    return ", ".join(sorted(names)[:_MAX_LISTED]) + (f" and {more} more" if more > 0 else "")
 
 
 def _json_lines(path: Path, text: str) -> Iterator[Line]:

@@ -1,7 +1,7 @@
-"""Motion and captions in memory.
+"""Clips of motion with their captions and labels, read from a data folder, and their mirror images.
 
 A data folder holds, per split, `<split>.npz` (ids, offsets, joints, root_xz, scale, fps), and `captions.jsonl` and
-`index.jsonl` with one line per clip; `kinegraph_training.prepare` writes the same from BVH files.
+`index.jsonl` with one line per clip. `kinegraph_training.prepare` writes such a folder from BVH files.
 """
 
 from __future__ import annotations
@@ -10,70 +10,80 @@ import json
 import re
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
-from kinegraph.arrays import FloatArray
 
+from kinegraph.arrays import FloatArray
 from kinegraph.errors import InvalidInputError
-from kinegraph.motion.features import features_from_joints
 from kinegraph.motion.skeleton import mirrored
 
-SWAP = {"left": "right", "leftward": "rightward", "leftwards": "rightwards", "clockwise": "counterclockwise"}
-SWAP |= {other: word for word, other in SWAP.items()}
+AT_ONCE: Final = "+"
+IN_ORDER: Final = ">"
+"""Join the labels of several actions in index.jsonl and in the names of compositions."""
+
+OPPOSITE = {"left": "right", "leftward": "rightward", "leftwards": "rightwards", "clockwise": "counterclockwise"}
+OPPOSITE |= {other: word for word, other in OPPOSITE.items()}
 # An underscore ends a word here, for labels such as wave_left_hand; each spelling of counterclockwise is one word.
 _SIDE = re.compile(r"(?<![^\W_])(left(?:wards?)?|right(?:wards?)?|(counter[- ]?|anti[- ]?)?clockwise)(?![^\W_])", re.I)
 
 
 @dataclass(frozen=True)
 class MotionClip:
-    """One clip with what is known of it."""
+    """Clip of motion with its captions and labels."""
 
     id: str
     joints: FloatArray
-    """(frames, 22, 3) metres, 20 frames per second, starting at the origin facing +Z."""
+    """(frames, 22, 3) metres at 20 frames per second, starting at the origin facing +Z."""
     captions: tuple[str, ...]
-    content: str
-    """Label of the action, "" where the data has none."""
+    actions: tuple[str, ...]
+    """Label of each action it shows; none where the data has no labels."""
     style: str
+    in_order: bool = False
+    """Whether several actions follow one another instead of happening at once."""
     steps: int | None = None
-    """Steps taken, where the index counts them."""
+    """Number of steps taken, where the index counts them."""
     any_length: bool = False
-    """Made as long as it was drawn to be: it says nothing of how long its captions usually take."""
+    """Whether its length was drawn at random, and so says nothing of how long its captions usually take."""
+
+    @property
+    def action(self) -> str:
+        """Label of its action, or of all of them, joined by `AT_ONCE` or `IN_ORDER`; "" without labels."""
+        return (IN_ORDER if self.in_order else AT_ONCE).join(self.actions)
 
 
 def mirrored_caption(caption: str) -> str:
-    """The caption of the mirrored clip: left and right exchanged, other words untouched."""
-    return _SIDE.sub(_other_side, caption)
+    """Exchange left and right in a caption; other words stay."""
+    return _SIDE.sub(_opposite, caption)
 
 
-def _other_side(match: re.Match[str]) -> str:
-    """The opposite of a word of `_SIDE`, in its case."""
+def _opposite(match: re.Match[str]) -> str:
+    """Return the opposite of a word that `_SIDE` matched, in the same case."""
     word = match.group()
-    other = "clockwise" if match.group(2) else SWAP[word.lower()]
+    other = "clockwise" if match.group(2) else OPPOSITE[word.lower()]
     if word.isupper():
         return other.upper()
     return other.capitalize() if word[0].isupper() else other
 
 
 def mirrored_label(label: str) -> str:
-    """`wave-left-hand` -> `wave-right-hand`."""
+    """Exchange left and right in a label: `wave-left-hand` -> `wave-right-hand`."""
     return mirrored_caption(label)
 
 
 def mirrored_clip(clip: MotionClip) -> MotionClip:
-    """Left and right exchanged in the motion, the captions and the label."""
+    """Exchange left and right in the motion, the captions and the labels."""
     return replace(
         clip,
         id=f"{clip.id}~mirror",
         joints=mirrored(clip.joints),
         captions=tuple(mirrored_caption(caption) for caption in clip.captions),
-        content=mirrored_label(clip.content),
+        actions=tuple(mirrored_label(action) for action in clip.actions),
     )
 
 
 def read_jsonl(path: Path) -> dict[str, dict[str, Any]]:
-    """Lines of a JSON-lines file by their "id"."""
+    """Read a JSON-lines file; returns its rows by their "id"."""
     if not path.is_file():
         raise InvalidInputError(f"{path} is missing; a data folder needs it (see kinegraph_training.data.clips)")
     rows = (json.loads(line) for line in path.read_text(encoding="utf-8").splitlines() if line.strip())
@@ -81,19 +91,19 @@ def read_jsonl(path: Path) -> dict[str, dict[str, Any]]:
 
 
 def read_split(folder: Path, split: str) -> list[MotionClip]:
-    """All clips of one split but those that index.jsonl calls not `clean`.
+    """Read all clips of a split, except those that index.jsonl marks as not `clean`.
 
     Raises:
         InvalidInputError: a file is missing, or a clip has no caption.
     """
     path = folder / f"{split}.npz"
     if not path.is_file():
-        found = sorted(file.stem for file in folder.glob("*.npz"))
-        raise InvalidInputError(f"{path} is missing; splits in this folder: {', '.join(found) or 'none'}")
+        names = sorted(file.stem for file in folder.glob("*.npz"))
+        raise InvalidInputError(f"{path} is missing; splits in this folder: {', '.join(names) or 'none'}")
     captions, index = read_jsonl(folder / "captions.jsonl"), read_jsonl(folder / "index.jsonl")
     clips = []
     with np.load(path, allow_pickle=False) as pack:
-        joints, root, offsets = pack["joints"], pack["root_xz"], pack["offsets"]
+        packed, root, offsets = pack["joints"], pack["root_xz"], pack["offsets"]
         scale, ids = float(pack["scale"]), [str(name) for name in pack["ids"]]
     for name, start, end in zip(ids, offsets[:-1], offsets[1:], strict=True):
         if not captions.get(name, {}).get("captions"):
@@ -101,25 +111,19 @@ def read_split(folder: Path, split: str) -> list[MotionClip]:
         row = index.get(name, {})
         if not row.get("clean", True):
             continue
-        place = joints[start:end].astype(np.float32) * np.float32(scale)
-        place[..., 0] += root[start:end, None, 0]
-        place[..., 2] += root[start:end, None, 1]
+        joints = packed[start:end].astype(np.float32) * np.float32(scale)
+        joints[..., 0] += root[start:end, None, 0]
+        joints[..., 2] += root[start:end, None, 1]
+        label = row.get("content", "")
         clips.append(
             MotionClip(
                 id=name,
-                joints=place,
+                joints=joints,
                 captions=tuple(captions[name]["captions"]),
-                content=row.get("content", ""),
+                actions=tuple(re.split(f"[{AT_ONCE}{IN_ORDER}]", label)) if label else (),
                 style=row.get("style_canon", ""),
+                in_order=IN_ORDER in label,
                 steps=row.get("attr", {}).get("steps"),
             )
         )
     return clips
-
-
-def clip_features(clips: list[MotionClip], *, min_frames: int) -> list[FloatArray]:
-    """(frames, 137) of every clip long enough; shorter ones are left out by the caller beforehand."""
-    short = [clip.id for clip in clips if len(clip.joints) < min_frames]
-    if short:
-        raise InvalidInputError(f"clips shorter than {min_frames} frames: {', '.join(short[:5])}")
-    return [features_from_joints(clip.joints) for clip in clips]

@@ -1,4 +1,4 @@
-"""Data folders: what `kinegraph_training.data.clips` reads, and which split a clip belongs to."""
+"""Data folders as `kinegraph_training.data.clips` reads them: writing one, and dividing clips into splits."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-from kinegraph.arrays import FloatArray
 
+from kinegraph.arrays import FloatArray
 from kinegraph.errors import OutputError
 from kinegraph.files import write_atomically
 from kinegraph.motion.skeleton import JOINTS, PELVIS
@@ -25,7 +25,7 @@ STEP_METRES: Final = 0.0001
 
 @dataclass(frozen=True)
 class PreparedClip:
-    """One clip as it is stored."""
+    """Clip as it is stored in a data folder."""
 
     id: str
     """Path below the folder, without suffix, with `/`."""
@@ -34,46 +34,57 @@ class PreparedClip:
     captions: tuple[str, ...]
     source_file: str
     split: str
-    content: str = ""
-    """Label of the action, where it has one: two of them joined by `+` for a composition."""
+    action: str = ""
+    """Label of its action, if it has one; labels of several at once are joined by `+`."""
     style: str = ""
 
 
-def split_of(ids: Sequence[str], *, val: float, test: float) -> dict[str, str]:
-    """Split of each clip by a hash of its id. A split that was asked for and got none takes one clip of
-    `train`."""
-    place = {each: _hash(each) for each in ids}
+def assign_splits(ids: Sequence[str], *, val: float, test: float) -> dict[str, str]:
+    """Assign each clip to a split by a hash of its id.
+
+    A split with a share above 0 that gets no clip takes one of `train`.
+
+    Args:
+        ids: of all clips.
+        val: share of the clips for `val`.
+        test: share of the clips for `test`.
+    """
+    fractions = {name: _hash_fraction(name) for name in ids}
     splits = {
-        each: "test" if share < test else "val" if share < test + val else "train" for each, share in place.items()
+        name: "test" if fraction < test else "val" if fraction < test + val else "train"
+        for name, fraction in fractions.items()
     }
     for split, share in (("val", val), ("test", test)):
-        left = sorted((each for each in ids if splits[each] == "train"), key=lambda each: place[each])
+        left = sorted((name for name in ids if splits[name] == "train"), key=lambda name: fractions[name])
         if share > 0 and split not in splits.values() and len(left) > 1:
             splits[left[0]] = split
     return splits
 
 
 def write_data(out: Path, clips: Sequence[PreparedClip], fps: float) -> None:
-    """The split files first: a folder whose writing failed lacks the index, and no training starts on it."""
+    """Write a data folder, its index last: training refuses a folder whose writing failed half-way.
+
+    Raises:
+        OutputError: the folder cannot be written.
+    """
     try:
         out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise OutputError(f"{out} cannot be made ({error.strerror}); choose another folder") from error
     for split in SPLITS:
-        chosen = [clip for clip in clips if clip.split == split]
-        write_atomically(out / f"{split}.npz", _pack(chosen, fps))
+        write_atomically(out / f"{split}.npz", _pack([clip for clip in clips if clip.split == split], fps))
     captions = [{"id": clip.id, "split": clip.split, "captions": list(clip.captions)} for clip in clips]
     rate = int(fps) if fps == int(fps) else fps
     index = [
         {
-            "id": each.id,
-            "frames": len(each.joints),
+            "id": clip.id,
+            "frames": len(clip.joints),
             "fps": rate,
-            "source_file": each.source_file,
-            "split": each.split,
-            **({"content": each.content, "style_canon": each.style} if each.content else {}),
+            "source_file": clip.source_file,
+            "split": clip.split,
+            **({"content": clip.action, "style_canon": clip.style} if clip.action else {}),
         }
-        for each in clips
+        for clip in clips
     ]
     write_atomically(out / "captions.jsonl", _lines(captions))
     write_atomically(out / "index.jsonl", _lines(index))
@@ -100,6 +111,6 @@ def _lines(rows: Sequence[Mapping[str, Any]]) -> bytes:
     return "".join(json.dumps(row, ensure_ascii=False) + "\n" for row in rows).encode()
 
 
-def _hash(name: str) -> float:
-    """A number in [0, 1) that depends on the name alone."""
+def _hash_fraction(name: str) -> float:
+    """Map a name to a number in [0, 1) that depends on nothing else."""
     return int.from_bytes(hashlib.sha256(name.encode()).digest()[:6], "big") / 2**48

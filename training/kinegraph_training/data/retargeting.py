@@ -1,8 +1,8 @@
-"""Joints of other skeletons -> the 22 of `kinegraph.motion.skeleton`, by name.
+"""Retargeting by joint names: the 22 joints of `kinegraph.motion.skeleton` from other skeletons.
 
-A joint comes from a source joint, from its End Site (`"Foot.end"`), or from a point on the line between two
-(`("Hips", "Spine", 0.5)` is half way). Case, separators and prefixes such as `mixamorig:` do not count in
-names.
+A joint is taken from a source joint, from its End Site (`"Foot.end"`), or from a point on the line between two source
+joints (`("Hips", "Spine", 0.5)` is half way). Names are compared without case, separators and prefixes such as
+`mixamorig:`.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ _PREFIX: Final = re.compile(r"^(mixamorig\d*|ccbase|mavg|favg|bip0*1)(?=.)")
 
 
 def _both_sides(middle: dict[str, str], sided: dict[str, str]) -> dict[str, tuple[str, ...]]:
-    """A table; `{side}` is Left/Right, `{s}` l/r; alternatives are separated by `|`."""
+    """Expand a table of names; `{side}` becomes left or right, `{s}` l or r, and `|` separates alternatives."""
     table = {joint: tuple(names.split("|")) for joint, names in middle.items()}
     for joint, names in sided.items():
         for side in ("left", "right"):
@@ -48,7 +48,7 @@ _MIXAMO_LIMBS: Final = {
     "wrist": "{side}hand",
 }
 
-TABLES: Final[dict[str, dict[str, tuple[str, ...]]]] = {
+NAMING_CONVENTIONS: Final[dict[str, dict[str, tuple[str, ...]]]] = {
     "SMPL": _both_sides(
         {joint: joint.replace("_", "") for joint in ("pelvis", "spine1", "spine2", "spine3", "neck", "head")},
         {part: f"{{side}}{part}|{{s}}{part}" for part in ("hip", "knee", "ankle", "collar", "shoulder", "elbow")}
@@ -123,28 +123,28 @@ TABLES: Final[dict[str, dict[str, tuple[str, ...]]]] = {
         },
     ),
 }
-"""Naming convention -> joint -> names it may have there, without case, separators and prefix."""
+"""By naming convention and joint: names that the joint may have, without case, separators and prefix."""
 
 OPTIONAL: Final = frozenset({"spine1", "spine2", "spine3", "left_collar", "right_collar"})
-"""Joints that are put between their neighbours where a skeleton lacks them."""
+"""Joints that are interpolated between their neighbours where a skeleton lacks them."""
 
 
 @dataclass(frozen=True)
 class JointMap:
-    """How to get the 22 joints from the joints of one file."""
+    """Sources of the 22 joints among the joints of one file."""
 
     convention: str
-    """The table it came from."""
+    """Naming convention that fitted best."""
     sources: Mapping[str, Source]
-    """Joint -> what it comes from, in the names of the file; joints of `OPTIONAL` may be missing."""
+    """By joint, in the names of the file; joints of `OPTIONAL` may be missing."""
 
 
-def joint_map(names: tuple[str, ...], own: Mapping[str, Source] | None = None) -> JointMap:
-    """The map for a skeleton: that of the table that fits best, with the caller's own entries before it.
+def find_joint_map(names: tuple[str, ...], overrides: Mapping[str, Source] | None = None) -> JointMap:
+    """Find the sources of the 22 joints by the naming convention that fits best.
 
     Args:
         names: of the source joints, End Sites as `Foot.end`.
-        own: entries of a map file (`read_map`).
+        overrides: entries of a map file (`read_map`), which come before those of the convention.
 
     Raises:
         InvalidInputError: joints that are not optional have no source; the message names them.
@@ -152,26 +152,26 @@ def joint_map(names: tuple[str, ...], own: Mapping[str, Source] | None = None) -
     known: dict[str, str] = {}
     for name in names:
         known.setdefault(plain_name(name), name)
-    own_sources = {joint: _resolved(joint, source, known) for joint, source in (own or {}).items()}
-    found: dict[str, dict[str, Source]] = {}
-    for convention, table in TABLES.items():
+    overriding = {joint: _resolve(joint, source, known) for joint, source in (overrides or {}).items()}
+    sources: dict[str, dict[str, Source]] = {}
+    for convention, table in NAMING_CONVENTIONS.items():
         hits = (
             (joint, next((known[name] for name in wanted if name in known), None)) for joint, wanted in table.items()
         )
-        found[convention] = {**{joint: name for joint, name in hits if name is not None}, **own_sources}
-    convention = max(found, key=lambda each: len(found[each]))
-    missing = [joint for joint in JOINT_NAMES if joint not in found[convention] and joint not in OPTIONAL]
+        sources[convention] = {**{joint: name for joint, name in hits if name is not None}, **overriding}
+    convention = max(sources, key=lambda candidate: len(sources[candidate]))
+    missing = [joint for joint in JOINT_NAMES if joint not in sources[convention] and joint not in OPTIONAL]
     if missing:
         raise InvalidInputError(
             f"no joint found for {', '.join(missing)} (closest naming: {convention}). The file has "
             f"{', '.join(name for name in names if not name.endswith(END))}. Write a map file, for example "
             f'{{"{missing[0]}": "NAME IN THE FILE"}}, and pass it with --map'
         )
-    return JointMap(convention, found[convention])
+    return JointMap(convention, sources[convention])
 
 
 def read_map(path: Path) -> dict[str, Source]:
-    """Entries of a map file: JSON, joint -> source joint, or -> [joint, joint, share].
+    """Read a map file: a JSON object of joints, each with a source joint or [joint, joint, share].
 
     Raises:
         InvalidInputError: no such file, no JSON, an unknown joint, or another kind of entry.
@@ -187,52 +187,60 @@ def read_map(path: Path) -> dict[str, Source]:
     unknown = [joint for joint in entries if joint not in JOINT_INDEX]
     if unknown:
         raise InvalidInputError(f"{path} maps {', '.join(unknown)}; joints are {', '.join(JOINT_NAMES)}")
-    return {joint: _source(path, joint, entry) for joint, entry in entries.items()}
+    return {joint: _parse_source(path, joint, entry) for joint, entry in entries.items()}
 
 
-def map_joints(places: Floats, names: tuple[str, ...], joints: JointMap) -> Floats:
-    """(frames, 22, 3) from the places (frames, n, 3) of the joints `names`, in the same units and axes."""
+def map_joints(positions: Floats, names: tuple[str, ...], joint_map: JointMap) -> Floats:
+    """Map source joints to the 22 joints, in the same units and axes.
+
+    Args:
+        positions: (frames, n, 3).
+        names: of the n source joints.
+        joint_map: of `find_joint_map`.
+
+    Returns:
+        (frames, 22, 3).
+    """
     index = {name: number for number, name in reversed(list(enumerate(names)))}
-    found: dict[str, Floats] = {}
-    for joint, source in joints.sources.items():
+    joints: dict[str, Floats] = {}
+    for joint, source in joint_map.sources.items():
         if isinstance(source, str):
-            found[joint] = places[:, index[source]]
+            joints[joint] = positions[:, index[source]]
         else:
             start, end, share = source
-            found[joint] = _between(places[:, index[start]], places[:, index[end]], share)
-    _fill_spine(found)
+            joints[joint] = _interpolate(positions[:, index[start]], positions[:, index[end]], share)
+    _fill_spine(joints)
     for side in ("left", "right"):
-        if f"{side}_collar" not in found:
-            found[f"{side}_collar"] = _between(found["neck"], found[f"{side}_shoulder"], 0.4)
-    return np.stack([found[joint] for joint in JOINT_NAMES], axis=1)
+        if f"{side}_collar" not in joints:
+            joints[f"{side}_collar"] = _interpolate(joints["neck"], joints[f"{side}_shoulder"], 0.4)
+    return np.stack([joints[joint] for joint in JOINT_NAMES], axis=1)
 
 
 def plain_name(name: str) -> str:
-    """The name without case, separators, name space (`rig:`) and known prefixes; an End Site keeps its
-    `.end`."""
+    """Strip case, separators, name space (`rig:`) and known prefixes; an End Site keeps its `.end`."""
     body, end = (name[: -len(END)], END) if name.endswith(END) else (name, "")
     plain = re.sub(r"[\W_]+", "", body.rpartition(":")[2].lower())
     return _PREFIX.sub("", plain) + end
 
 
-def _fill_spine(found: dict[str, Floats]) -> None:
+def _fill_spine(joints: dict[str, Floats]) -> None:
     """Put missing joints of the spine on the line between those it has."""
-    if "spine3" not in found:
-        below, share = ("spine2", 0.25) if "spine2" in found else ("spine1", 0.5)
-        start = found[below] if below in found else _between(found["pelvis"], found["neck"], 0.2)
-        found["spine3"] = _between(start, found["neck"], share)
-    if "spine2" not in found:
-        start = found["spine1"] if "spine1" in found else _between(found["pelvis"], found["neck"], 0.2)
-        found["spine2"] = _between(start, found["spine3"], 0.5)
-    if "spine1" not in found:
-        found["spine1"] = _between(found["pelvis"], found["spine2"], 0.5)
+    if "spine3" not in joints:
+        below, share = ("spine2", 0.25) if "spine2" in joints else ("spine1", 0.5)
+        start = joints[below] if below in joints else _interpolate(joints["pelvis"], joints["neck"], 0.2)
+        joints["spine3"] = _interpolate(start, joints["neck"], share)
+    if "spine2" not in joints:
+        start = joints["spine1"] if "spine1" in joints else _interpolate(joints["pelvis"], joints["neck"], 0.2)
+        joints["spine2"] = _interpolate(start, joints["spine3"], 0.5)
+    if "spine1" not in joints:
+        joints["spine1"] = _interpolate(joints["pelvis"], joints["spine2"], 0.5)
 
 
-def _between(start: Floats, end: Floats, share: float) -> Floats:
+def _interpolate(start: Floats, end: Floats, share: float) -> Floats:
     return np.asarray(start + share * (end - start))
 
 
-def _source(path: Path, joint: str, entry: object) -> Source:
+def _parse_source(path: Path, joint: str, entry: object) -> Source:
     match entry:
         case str():
             return entry
@@ -241,7 +249,8 @@ def _source(path: Path, joint: str, entry: object) -> Source:
     raise InvalidInputError(f'{path}: {joint} is {entry!r}; it must be "NAME" or ["NAME", "NAME", 0.5]')
 
 
-def _resolved(joint: str, source: Source, known: Mapping[str, str]) -> Source:
+def _resolve(joint: str, source: Source, known: Mapping[str, str]) -> Source:
+    """Translate the names of a map entry into those of the file."""
     wanted = (source,) if isinstance(source, str) else source[:2]
     names = [known.get(plain_name(name)) for name in wanted]
     for name, hit in zip(wanted, names, strict=True):

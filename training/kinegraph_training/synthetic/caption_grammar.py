@@ -1,6 +1,7 @@
-"""Wording of made compositions: verb phrases per content, and manners per style.
+"""Wording of synthetic captions: verb phrases per action, adverbial phrases per style, and sentence templates.
 
-`{s}` forms follow a subject ("walks"), `{ing}` forms follow "while" ("walking").
+Templates name `{subject}`; `{a}` and `{b}`, finite verb phrases ("walks"); `{a_ing}` and `{b_ing}`, participles that
+follow "while" ("walking"); and `{n}`, a number of steps.
 """
 
 from __future__ import annotations
@@ -11,27 +12,31 @@ import numpy as np
 
 
 @dataclass(frozen=True)
-class Phrases:
-    """Ways to say one content."""
+class ActionPhrases:
+    """Verb phrases for one action."""
 
     finite: tuple[str, ...]
+    """As in "a person walks"."""
     participle: tuple[str, ...]
+    """As in "while walking"; participle i belongs to finite phrase i."""
     arms_or_legs: bool = True
-    """False for actions of the whole body, which cannot be spliced."""
+    """Whether it moves arms or legs alone; actions of the whole body cannot be spliced."""
 
 
-def _say(*pairs: tuple[str, str], spliced: bool = True) -> Phrases:
-    return Phrases(tuple(finite for finite, _ in pairs), tuple(participle for _, participle in pairs), spliced)
+def _verbs(*pairs: tuple[str, str], arms_or_legs: bool = True) -> ActionPhrases:
+    return ActionPhrases(
+        tuple(finite for finite, _ in pairs), tuple(participle for _, participle in pairs), arms_or_legs
+    )
 
 
 def _hand(side: str) -> str:
     return "both hands" if side == "both" else f"the {side} hand"
 
 
-def _raise(side: str) -> Phrases:
+def _raise(side: str) -> ActionPhrases:
     hand = _hand(side)
     arm = "both arms" if side == "both" else f"the {side} arm"
-    return _say(
+    return _verbs(
         (f"raises {hand}", f"raising {hand}"),
         (f"lifts {hand} up", f"lifting {hand} up"),
         (f"raises {arm} above the head", f"raising {arm} above the head"),
@@ -40,10 +45,10 @@ def _raise(side: str) -> Phrases:
     )
 
 
-def _wave(side: str) -> Phrases:
+def _wave(side: str) -> ActionPhrases:
     hand = _hand(side)
     arm = "both arms" if side == "both" else f"the {side} arm"
-    return _say(
+    return _verbs(
         (f"waves {hand}", f"waving {hand}"),
         (f"waves with {hand}", f"waving with {hand}"),
         (f"waves {arm}", f"waving {arm}"),
@@ -51,8 +56,8 @@ def _wave(side: str) -> Phrases:
     )
 
 
-def _turn(side: str) -> Phrases:
-    return _say(
+def _turn(side: str) -> ActionPhrases:
+    return _verbs(
         (f"turns {side} while walking", f"turning {side}"),
         (f"walks and turns to the {side}", f"walking around a turn to the {side}"),
         (f"turns to the {side}", f"turning to the {side}"),
@@ -60,15 +65,15 @@ def _turn(side: str) -> Phrases:
     )
 
 
-PHRASES: dict[str, Phrases] = {
-    "walk": _say(("walks", "walking"), ("walks forward", "walking forward"), ("walks ahead", "walking ahead"),
-                 ("walks straight ahead", "walking straight ahead")),
-    "run": _say(("runs", "running"), ("runs forward", "running forward"), ("jogs", "jogging"),
-                ("runs ahead", "running ahead")),
-    "dash": _say(("dashes forward", "dashing forward"), ("sprints", "sprinting")),
-    "walk-back": _say(("walks backward", "walking backward"), ("steps backwards", "stepping backwards")),
-    "walk-left": _say(("walks to the left", "walking to the left"), ("walks leftward", "walking leftward")),
-    "walk-right": _say(("walks to the right", "walking to the right"), ("walks rightward", "walking rightward")),
+PHRASES: dict[str, ActionPhrases] = {
+    "walk": _verbs(("walks", "walking"), ("walks forward", "walking forward"), ("walks ahead", "walking ahead"),
+                   ("walks straight ahead", "walking straight ahead")),
+    "run": _verbs(("runs", "running"), ("runs forward", "running forward"), ("jogs", "jogging"),
+                  ("runs ahead", "running ahead")),
+    "dash": _verbs(("dashes forward", "dashing forward"), ("sprints", "sprinting")),
+    "walk-back": _verbs(("walks backward", "walking backward"), ("steps backwards", "stepping backwards")),
+    "walk-left": _verbs(("walks to the left", "walking to the left"), ("walks leftward", "walking leftward")),
+    "walk-right": _verbs(("walks to the right", "walking to the right"), ("walks rightward", "walking rightward")),
     "walk-turn-left": _turn("left"),
     "walk-turn-right": _turn("right"),
     "raise-up-left-hand": _raise("left"),
@@ -77,17 +82,19 @@ PHRASES: dict[str, Phrases] = {
     "wave-left-hand": _wave("left"),
     "wave-right-hand": _wave("right"),
     "wave-both-hands": _wave("both"),
-    "bye": _say(("waves goodbye", "waving goodbye"), ("says goodbye", "saying goodbye")),
-    "byebye": _say(("waves bye-bye", "waving bye-bye"), ("waves goodbye again and again", "waving goodbye")),
-    "bow": _say(("bows", "bowing"), ("takes a bow", "taking a bow"), ("bows down", "bowing down"), spliced=False),
-    "guide": _say(("shows the way", "showing the way"), ("guides somebody", "guiding somebody"), spliced=False),
+    "bye": _verbs(("waves goodbye", "waving goodbye"), ("says goodbye", "saying goodbye")),
+    "byebye": _verbs(("waves bye-bye", "waving bye-bye"), ("waves goodbye again and again", "waving goodbye")),
+    "bow": _verbs(("bows", "bowing"), ("takes a bow", "taking a bow"), ("bows down", "bowing down"),
+                  arms_or_legs=False),
+    "guide": _verbs(("shows the way", "showing the way"), ("guides somebody", "guiding somebody"), arms_or_legs=False),
 }  # fmt: skip
+"""By action label."""
 
 LOCOMOTION = frozenset(name for name in PHRASES if name.startswith(("walk", "run", "dash")))
 
 SUBJECTS = ("a person", "a person", "a person", "someone", "the person", "a man", "a figure", "a human", "somebody")
 
-MANNERS: dict[str, tuple[str, ...]] = {
+STYLE_PHRASES: dict[str, tuple[str, ...]] = {
     "normal": ("", "", "", "in a normal way"),
     "active": ("energetically", "with a lot of energy", "in a lively way"),
     "elderly": ("like an old person", "like an elderly person", "in an elderly way"),
@@ -105,9 +112,10 @@ MANNERS: dict[str, tuple[str, ...]] = {
     "chimpira": ("like a thug",),
     "musical": ("in a musical way",),
 }
+"""By style; an empty phrase leaves the style unsaid."""
 
 NUMBERS = ("two", "three", "four", "five", "six", "seven", "eight", "nine", "ten", "eleven", "twelve")
-"""From 2 on: one step is no walk, and nobody counts further."""
+"""From 2 on, as one step is no walk, up to what people count."""
 
 _AHEAD = ("{subject} walks {n} steps", "{subject} takes {n} steps forward", "{subject} walks ahead for {n} steps")
 COUNTED_STEPS: dict[str, tuple[str, ...]] = {
@@ -122,51 +130,54 @@ COUNTED_STEPS: dict[str, tuple[str, ...]] = {
                              f"{{subject}} walks {{n}} steps, turning to the {side}")
        for side in ("left", "right")},
 }  # fmt: skip
-"""Ways to say how many steps are taken, per content."""
-
-CAPTIONS_PER_CLIP = 4
+"""Templates that say how many steps are taken, by action label."""
 
 
-def _one(options: tuple[str, ...], rng: np.random.Generator) -> str:
+def is_turn(action: str) -> bool:
+    """Tell whether an action label names a turn."""
+    return "turn" in action
+
+
+def _draw(options: tuple[str, ...], rng: np.random.Generator) -> str:
     return options[int(rng.integers(len(options)))]
 
 
 def _captions(
-    templates: tuple[str, ...], first: Phrases, second: Phrases, style: str, rng: np.random.Generator
+    templates: tuple[str, ...], first: ActionPhrases, second: ActionPhrases, style: str, rng: np.random.Generator
 ) -> tuple[str, ...]:
-    made = []
+    captions = []
     for template in templates:
         text = template.format(
-            subject=_one(SUBJECTS, rng),
-            a=_one(first.finite, rng),
-            b=_one(second.finite, rng),
-            a_ing=_one(first.participle, rng),
-            b_ing=_one(second.participle, rng),
+            subject=_draw(SUBJECTS, rng),
+            a=_draw(first.finite, rng),
+            b=_draw(second.finite, rng),
+            a_ing=_draw(first.participle, rng),
+            b_ing=_draw(second.participle, rng),
         )
-        manner = _one(MANNERS.get(style, ("",)), rng)
-        made.append(f"{text} {manner}".strip() + ".")
-    return tuple(made)
+        style_phrase = _draw(STYLE_PHRASES.get(style, ("",)), rng)
+        captions.append(f"{text} {style_phrase}".strip() + ".")
+    return tuple(captions)
 
 
-def counted_captions(content: str, steps: int | None, style: str, rng: np.random.Generator) -> tuple[str, ...]:
-    """Two captions that name the number of steps, where it is known and can be said."""
-    if content not in COUNTED_STEPS or steps is None or not 2 <= steps < len(NUMBERS) + 2:
+def step_count_captions(action: str, steps: int | None, style: str, rng: np.random.Generator) -> tuple[str, ...]:
+    """Write two captions that name the number of steps; none where it is unknown or not in `NUMBERS`."""
+    if action not in COUNTED_STEPS or steps is None or not 2 <= steps < len(NUMBERS) + 2:
         return ()
-    made = []
+    captions = []
     for _ in range(2):
-        text = _one(COUNTED_STEPS[content], rng).format(subject=_one(SUBJECTS, rng), n=NUMBERS[steps - 2])
-        made.append(f"{text} {_one(MANNERS.get(style, ('',)), rng)}".strip() + ".")
-    return tuple(made)
+        text = _draw(COUNTED_STEPS[action], rng).format(subject=_draw(SUBJECTS, rng), n=NUMBERS[steps - 2])
+        captions.append(f"{text} {_draw(STYLE_PHRASES.get(style, ('',)), rng)}".strip() + ".")
+    return tuple(captions)
 
 
-def concept_caption(content: str, style: str, rng: np.random.Generator) -> str:
-    """A sentence of one action in its manner."""
-    parts = (_one(SUBJECTS, rng), _one(PHRASES[content].finite, rng), _one(MANNERS.get(style, ("",)), rng))
+def concept_caption(action: str, style: str, rng: np.random.Generator) -> str:
+    """Write a sentence of one action in a style."""
+    parts = (_draw(SUBJECTS, rng), _draw(PHRASES[action].finite, rng), _draw(STYLE_PHRASES.get(style, ("",)), rng))
     return " ".join(parts).strip() + "."
 
 
 def splice_caption(carrier: str, gesture: str, style: str, rng: np.random.Generator) -> tuple[str, ...]:
-    """Captions of two actions at once."""
+    """Write captions of two actions at once, in four templates."""
     templates = (
         "{subject} {a} while {b_ing}",
         "{subject} {a} and {b}",
@@ -177,7 +188,7 @@ def splice_caption(carrier: str, gesture: str, style: str, rng: np.random.Genera
 
 
 def sequence_caption(first: str, second: str, style: str, rng: np.random.Generator) -> tuple[str, ...]:
-    """Captions of one action after another."""
+    """Write captions of one action after another, in four templates."""
     templates = (
         "{subject} {a}, then {b}",
         "{subject} {a} and then {b}",

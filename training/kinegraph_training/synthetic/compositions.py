@@ -1,7 +1,7 @@
-"""Made compositions: body splices ("walks while waving") and sequences ("walks, then bows").
+"""Synthetic compositions: body splices ("walks while waving") and sequences ("walks, then bows").
 
-No recorded clip holds two actions, so nothing else teaches the models that actions can coexist. Pairs listed as held
-out (and their mirror images) are never made, so that composition can be measured on pairs the models have not seen.
+No captured clip shows two actions, so nothing else teaches the models that actions can coexist. Pairs listed as held
+out, and their mirror images, are never composed, so that composition can be measured on pairs the models have not seen.
 """
 
 from __future__ import annotations
@@ -32,14 +32,16 @@ MAX_SQUEEZE = 1.6
 
 @dataclass(frozen=True)
 class HeldOut:
-    """Pairs of contents that must not be composed in training, mirror images included."""
+    """Pairs of action labels that must not be composed in training, mirror images included."""
 
     together: frozenset[frozenset[str]]
+    """Pairs that must not happen at once."""
     in_order: frozenset[tuple[str, str]]
+    """Pairs (first, second) that must not follow each other."""
 
     @staticmethod
     def read(path: Path) -> HeldOut:
-        """From a JSON file with the lists "together" and "in_order".
+        """Read a JSON file with the lists "together" and "in_order", and add the mirror images.
 
         Raises:
             InvalidInputError: it cannot be read, or is no such file.
@@ -60,143 +62,160 @@ class HeldOut:
         return HeldOut(frozenset(frozenset(pair) for pair in together), frozenset(ordered))
 
 
-def arms_of(content: str) -> tuple[int, ...]:
-    """Joints a gesture moves: one arm if its label names a side, else both."""
-    if "left" in content:
+def arms_of(action: str) -> tuple[int, ...]:
+    """Return the joints that a gesture moves: one arm if its label names a side, else both."""
+    if "left" in action:
         return LEFT_ARM
-    if "right" in content:
+    if "right" in action:
         return RIGHT_ARM
     return LEFT_ARM + RIGHT_ARM
 
 
-def resampled(joints: FloatArray, frames: int) -> FloatArray:
-    """Linear in time, end to end: (t, 22, 3) -> (frames, 22, 3)."""
+def resample_linear(joints: FloatArray, frames: int) -> FloatArray:
+    """Resample (t, 22, 3) to (frames, 22, 3) by linear interpolation; first and last frame stay."""
     position = np.linspace(0, len(joints) - 1, frames)
     low = np.minimum(position.astype(int), len(joints) - 2)
-    part = (position - low)[:, None, None].astype(np.float32)
-    return joints[low] * (1 - part) + joints[low + 1] * part
+    fraction = (position - low)[:, None, None].astype(np.float32)
+    return joints[low] * (1 - fraction) + joints[low + 1] * fraction
 
 
 def chest_heading(joints: FloatArray) -> FloatArray:
-    """Direction across the shoulders' roots about +Y; collars move little, arms do not matter."""
+    """Compute the heading (t,) of the chest about +Y from the line between the collars, whatever the arms do."""
     across = joints[:, RIGHT_ARM[0]] - joints[:, LEFT_ARM[0]]
     return np.unwrap(np.arctan2(across[:, 2], -across[:, 0])).astype(np.float32)
 
 
-def rotated_y(vectors: FloatArray, angle: FloatArray) -> FloatArray:
-    """(t, n, 3) vectors turned by +angle (t,) about Y."""
+def rotate_about_y(vectors: FloatArray, angle: FloatArray) -> FloatArray:
+    """Rotate vectors (t, n, 3) by +angle (t,) about Y."""
     cos, sin = np.cos(angle)[:, None], np.sin(angle)[:, None]
     x, z = vectors[..., 0], vectors[..., 2]
     return np.stack([cos * x + sin * z, vectors[..., 1], cos * z - sin * x], axis=-1)
 
 
 def splice(carrier: MotionClip, gesture: MotionClip, rng: np.random.Generator) -> FloatArray:
-    """Legs, root and trunk of one clip with the arms of another, which turn with the chest.
+    """Combine legs, root and trunk of the carrier with the arms of the gesture, which turn with the chest.
 
-    A gesture that is longer is squeezed to the carrier's length; a shorter one is stretched by at most 1.3 and placed
-    inside, faded in and out over `BLEND` frames.
+    A longer gesture is sped up to the carrier's length. A shorter one is stretched by 1.0 to 1.3 and placed at random
+    inside the carrier, faded in and out over `BLEND` frames.
+
+    Returns:
+        (frames of the carrier, 22, 3) with the carrier's bone lengths.
     """
     frames = len(carrier.joints)
     length = min(frames, int(len(gesture.joints) * rng.uniform(1.0, 1.3)))
     start = int(rng.integers(0, frames - length + 1))
-    source = resampled(gesture.joints, length)
-    arms = list(arms_of(gesture.content))
-    relative = rotated_y(source[:, arms] - source[:, CHEST : CHEST + 1], -chest_heading(source))
+    source = resample_linear(gesture.joints, length)
+    arms = list(arms_of(gesture.action))
+    relative = rotate_about_y(source[:, arms] - source[:, CHEST : CHEST + 1], -chest_heading(source))
     out = carrier.joints.copy()
-    place = out[start : start + length]
-    moved = rotated_y(relative, chest_heading(place)) + place[:, CHEST : CHEST + 1]
+    span = out[start : start + length]
+    moved = rotate_about_y(relative, chest_heading(span)) + span[:, CHEST : CHEST + 1]
     weight = np.ones(length, dtype=np.float32)
     ramp = (np.arange(1, BLEND + 1) / (BLEND + 1)).astype(np.float32)[: length // 2]
     if start > 0:
         weight[: len(ramp)] = ramp
     if start + length < frames:
         weight[-len(ramp) :] = ramp[::-1]
-    place[:, arms] += weight[:, None, None] * (moved - place[:, arms])
+    span[:, arms] += weight[:, None, None] * (moved - span[:, arms])
     return enforce_bone_lengths(out, bone_lengths(carrier.joints).mean(axis=0))
 
 
 def stitch_clips(first: FloatArray, second: FloatArray) -> FloatArray:
-    """`second` after `first`, placed and turned to continue it, faded in feature space over `BLEND` frames."""
+    """Append one motion to another, placed and turned to continue it.
+
+    The two overlap by `BLEND` frames, over which their features are faded into each other.
+
+    Args:
+        first: (t1, 22, 3) metres.
+        second: (t2, 22, 3) metres.
+
+    Returns:
+        (t1 + t2 - BLEND, 22, 3) with the bone lengths of `first`.
+    """
     a, b = features_from_joints(first), features_from_joints(second)
-    part = ((np.arange(BLEND) + 1) / (BLEND + 1)).astype(np.float32)[:, None]
-    blend = a[-BLEND:] * (1 - part) + b[:BLEND] * part
+    weight = ((np.arange(BLEND) + 1) / (BLEND + 1)).astype(np.float32)[:, None]
+    blend = a[-BLEND:] * (1 - weight) + b[:BLEND] * weight
     rows = np.concatenate([a[:-BLEND], blend, b[BLEND:]])
     joints = joints_from_features(rows, heading=float(facing_angle(first)[0]))
     return enforce_bone_lengths(joints, bone_lengths(first).mean(axis=0))
 
 
-def may_be_together(carrier: MotionClip, gesture: MotionClip, held_out: HeldOut) -> bool:
-    """Whether the gesture leaves the carrier its own limbs, fits its length, and the pair is not held out."""
-    if gesture.content in LOCOMOTION:
+def can_splice(carrier: MotionClip, gesture: MotionClip, held_out: HeldOut) -> bool:
+    """Tell whether two clips use different limbs, have fitting lengths, and are no held-out pair."""
+    if gesture.action in LOCOMOTION:
         return False
-    both_gestures = carrier.content not in LOCOMOTION
-    if both_gestures and set(arms_of(carrier.content)) & set(arms_of(gesture.content)):
+    both_gestures = carrier.action not in LOCOMOTION
+    if both_gestures and set(arms_of(carrier.action)) & set(arms_of(gesture.action)):
         return False
-    if frozenset((carrier.content, gesture.content)) in held_out.together:
+    if frozenset((carrier.action, gesture.action)) in held_out.together:
         return False
     return len(gesture.joints) <= MAX_SQUEEZE * len(carrier.joints)
 
 
-def spliceable(clips: Iterable[MotionClip]) -> list[MotionClip]:
-    """Clips of actions of the arms or of the legs."""
-    return [clip for clip in clips if clip.content in PHRASES and PHRASES[clip.content].arms_or_legs]
+def select_spliceable(clips: Iterable[MotionClip]) -> list[MotionClip]:
+    """Select the clips of actions that move arms or legs alone."""
+    return [clip for clip in clips if clip.action in PHRASES and PHRASES[clip.action].arms_or_legs]
 
 
-def drawn_pair(clips: list[MotionClip], rng: np.random.Generator) -> tuple[MotionClip, MotionClip]:
-    """Two clips of one style, contents drawn evenly so that rare ones are not drowned."""
+def draw_pair(clips: list[MotionClip], rng: np.random.Generator) -> tuple[MotionClip, MotionClip]:
+    """Draw two clips of different actions in one style.
+
+    Styles are drawn by the square root of their number of clips, actions evenly, so that rare ones appear.
+    """
     by_style: dict[str, dict[str, list[MotionClip]]] = {}
     for clip in clips:
-        by_style.setdefault(clip.style, {}).setdefault(clip.content, []).append(clip)
-    styles = sorted(style for style, contents in by_style.items() if len(contents) > 1)
+        by_style.setdefault(clip.style, {}).setdefault(clip.action, []).append(clip)
+    styles = sorted(style for style, actions in by_style.items() if len(actions) > 1)
     weights = np.array([sum(map(len, by_style[style].values())) for style in styles], dtype=float) ** 0.5
     style = styles[int(rng.choice(len(styles), p=weights / weights.sum()))]
-    contents = sorted(by_style[style])
-    first, second = rng.choice(len(contents), size=2, replace=False)
-    groups = (by_style[style][contents[first]], by_style[style][contents[second]])
+    actions = sorted(by_style[style])
+    first, second = rng.choice(len(actions), size=2, replace=False)
+    groups = (by_style[style][actions[first]], by_style[style][actions[second]])
     return groups[0][rng.integers(len(groups[0]))], groups[1][rng.integers(len(groups[1]))]
 
 
 def make_splices(clips: list[MotionClip], count: int, held_out: HeldOut, seed: int) -> list[MotionClip]:
-    """`count` body splices with captions of both actions."""
+    """Make `count` clips of two actions at once, with captions of both."""
     rng = np.random.Generator(np.random.PCG64(seed))
-    usable = spliceable(clips)
-    made: list[MotionClip] = []
-    while len(made) < count and usable:
-        carrier, gesture = drawn_pair(usable, rng)
-        if not may_be_together(carrier, gesture, held_out):
+    usable = select_spliceable(clips)
+    splices: list[MotionClip] = []
+    while len(splices) < count and usable:
+        carrier, gesture = draw_pair(usable, rng)
+        if not can_splice(carrier, gesture, held_out):
             continue
-        made.append(
+        splices.append(
             MotionClip(
-                id=f"splice_{len(made):05d}",
+                id=f"splice_{len(splices):05d}",
                 joints=splice(carrier, gesture, rng),
-                captions=splice_caption(carrier.content, gesture.content, carrier.style, rng),
-                content=f"{carrier.content}+{gesture.content}",
+                captions=splice_caption(carrier.action, gesture.action, carrier.style, rng),
+                actions=(carrier.action, gesture.action),
                 style=carrier.style,
             )
         )
-    return made
+    return splices
 
 
 def make_sequences(
     clips: list[MotionClip], count: int, held_out: HeldOut, seed: int, max_frames: int
 ) -> list[MotionClip]:
-    """`count` clips of two actions in order, at most `max_frames` long."""
+    """Make `count` clips of two actions in order, of at most `max_frames`."""
     rng = np.random.Generator(np.random.PCG64(seed))
-    usable = [clip for clip in clips if clip.content in PHRASES and 2 * BLEND <= len(clip.joints) <= max_frames - 30]
-    made: list[MotionClip] = []
-    while len(made) < count and usable:
-        first, second = drawn_pair(usable, rng)
-        if (first.content, second.content) in held_out.in_order:
+    usable = [clip for clip in clips if clip.action in PHRASES and 2 * BLEND <= len(clip.joints) <= max_frames - 30]
+    sequences: list[MotionClip] = []
+    while len(sequences) < count and usable:
+        first, second = draw_pair(usable, rng)
+        if (first.action, second.action) in held_out.in_order:
             continue
         if len(first.joints) + len(second.joints) - BLEND > max_frames:
             continue
-        made.append(
+        sequences.append(
             MotionClip(
-                id=f"sequence_{len(made):05d}",
+                id=f"sequence_{len(sequences):05d}",
                 joints=stitch_clips(first.joints, second.joints),
-                captions=sequence_caption(first.content, second.content, first.style, rng),
-                content=f"{first.content}>{second.content}",
+                captions=sequence_caption(first.action, second.action, first.style, rng),
+                actions=(first.action, second.action),
                 style=first.style,
+                in_order=True,
             )
         )
-    return made
+    return sequences

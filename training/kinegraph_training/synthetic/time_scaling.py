@@ -1,4 +1,4 @@
-"""Motion at other speeds than it was recorded at."""
+"""Synthetic time scaling: captured motion at other speeds."""
 
 from __future__ import annotations
 
@@ -14,73 +14,82 @@ from kinegraph.motion.skeleton import canonicalise
 from kinegraph_training.config import DataConfig
 from kinegraph_training.data.clips import MotionClip
 from kinegraph_training.synthetic.caption_grammar import LOCOMOTION, concept_caption
-from kinegraph_training.synthetic.excerpts import drawn_clip
+from kinegraph_training.synthetic.excerpts import draw_clip
 
-PACE: Final = 1.35
-"""Most that a speed is changed, either way."""
-LEAST: Final = 1.15
-"""Least that a caption calls slow or fast."""
+MAX_SCALE: Final = 1.35
+"""Largest factor by which a clip is slowed down or sped up."""
+MIN_SCALE: Final = 1.15
+"""Smallest factor that a caption calls slow or fast."""
 SLOWLY: Final = ("slowly", "at a slow pace", "very slowly", "in no hurry")
 FAST: Final = ("quickly", "fast", "at a fast pace", "very fast")
 NEW_CAPTIONS: Final = 2
+"""Captions written for each clip, besides those kept from its source."""
 
 _SPEED = re.compile(
     r"\b(slow(ly)?|quick(ly)?|fast|rapid(ly)?|brisk(ly)?|pace|speed|hurr(y|ied|iedly))\b", re.IGNORECASE
 )
 
 
-def make_paces(clips: Sequence[MotionClip], count: int, seed: int, max_frames: int) -> list[MotionClip]:
-    """`count` walks, runs and turns that are slower or faster than they were recorded, with captions that say so.
+def make_time_scaled(clips: Sequence[MotionClip], count: int, seed: int, max_frames: int) -> list[MotionClip]:
+    """Make `count` slower or faster walks, runs and turns whose captions say so, for the denoisers.
 
-    In the data only the old and tired are slow and only the lively fast: a model that has to turn an old person by 90
-    degrees, a pair that it has not seen, turns by 65. Turns, steps and distances of a caption stay true.
+    In the captured data only elderly and exhausted people are slow and only active ones fast. A model trained on these
+    alone turns an elderly person, a held-out pair, by 65 degrees instead of 90. Turns, steps and distances that a
+    caption names stay true at another speed.
     """
     rng = np.random.Generator(np.random.PCG64(seed))
-    usable = [clip for clip in clips if clip.content in LOCOMOTION and len(clip.joints) * PACE <= max_frames]
-    made: list[MotionClip] = []
-    while len(made) < count and usable:
-        clip = drawn_clip(usable, rng)
+    usable = [clip for clip in clips if clip.action in LOCOMOTION and len(clip.joints) * MAX_SCALE <= max_frames]
+    scaled: list[MotionClip] = []
+    while len(scaled) < count and usable:
+        clip = draw_clip(usable, rng)
         slow = bool(rng.random() < 0.5)
-        pace = float(rng.uniform(LEAST, PACE))
-        frames = round(len(clip.joints) * pace if slow else len(clip.joints) / pace)
-        words = SLOWLY if slow else FAST
-        said = [caption for caption in clip.captions if not _SPEED.search(caption)]
-        said += [concept_caption(clip.content, clip.style, rng) for _ in range(NEW_CAPTIONS)]
-        captions = tuple(_with_manner(caption, words[int(rng.integers(len(words)))], rng) for caption in said)
-        joints = canonicalise(smoothly_resampled(clip.joints, frames))
-        made.append(replace(clip, id=f"pace_{len(made):05d}", joints=joints, captions=captions))
-    return made
+        scale = float(rng.uniform(MIN_SCALE, MAX_SCALE))
+        frames = round(len(clip.joints) * scale if slow else len(clip.joints) / scale)
+        phrases = SLOWLY if slow else FAST
+        sentences = [caption for caption in clip.captions if not _SPEED.search(caption)]
+        sentences += [concept_caption(clip.action, clip.style, rng) for _ in range(NEW_CAPTIONS)]
+        captions = tuple(_add_phrase(sentence, phrases[int(rng.integers(len(phrases)))], rng) for sentence in sentences)
+        joints = canonicalise(resample_catmull_rom(clip.joints, frames))
+        scaled.append(replace(clip, id=f"pace_{len(scaled):05d}", joints=joints, captions=captions))
+    return scaled
 
 
-def _with_manner(caption: str, words: str, rng: np.random.Generator) -> str:
-    """ "a person walks." -> "slowly, a person walks." or "a person walks slowly."."""
-    one_sentence = caption.rstrip(". ")
-    if "." in one_sentence or rng.random() < 0.5:
-        return f"{words}, {caption}"
-    return f"{one_sentence} {words}."
+def _add_phrase(caption: str, phrase: str, rng: np.random.Generator) -> str:
+    """Put a phrase before or after a caption: "slowly, a person walks." or "a person walks slowly."."""
+    sentence = caption.rstrip(". ")
+    if "." in sentence or rng.random() < 0.5:
+        return f"{phrase}, {caption}"
+    return f"{sentence} {phrase}."
 
 
-def paced_clips(clips: Sequence[MotionClip], config: DataConfig, seed: int) -> list[MotionClip]:
-    """Every clip once more, up to `PACE` times as fast or as slow: an autoencoder that has seen a motion at one speed
-    only keeps it badly at another. Not for denoisers: captions say how fast and how often."""
+def time_scaled_copies(clips: Sequence[MotionClip], config: DataConfig, seed: int) -> list[MotionClip]:
+    """Copy every clip at a random speed, up to `MAX_SCALE` slower or faster, for the autoencoders.
+
+    An autoencoder that has seen a motion at one speed reconstructs it badly at another. The copies are not for
+    denoisers, as their captions may name a speed or a frequency that is no longer true.
+    """
     rng = np.random.Generator(np.random.PCG64(seed))
-    paces = PACE ** rng.uniform(-1.0, 1.0, len(clips))
-    frames = [max(config.min_frames, round(len(clip.joints) / pace)) for clip, pace in zip(clips, paces, strict=True)]
-    return [
-        replace(clip, id=f"{clip.id}~paced", joints=smoothly_resampled(clip.joints, count))
-        for clip, count in zip(clips, frames, strict=True)
-    ]
+    speeds = MAX_SCALE ** rng.uniform(-1.0, 1.0, len(clips))
+    copies = []
+    for clip, speed in zip(clips, speeds, strict=True):
+        frames = max(config.min_frames, round(len(clip.joints) / speed))
+        copies.append(replace(clip, id=f"{clip.id}~paced", joints=resample_catmull_rom(clip.joints, frames)))
+    return copies
 
 
-def smoothly_resampled(joints: FloatArray, frames: int) -> FloatArray:
-    """Catmull-Rom in time, end to end: (t, 22, 3) -> (frames, 22, 3). Linear would jerk at every old frame."""
-    place = np.linspace(0, len(joints) - 1, frames)
-    low = np.minimum(place.astype(int), len(joints) - 2)
-    t = (place - low)[:, None, None].astype(np.float32)
-    # The ends go on in a straight line.
+def resample_catmull_rom(joints: FloatArray, frames: int) -> FloatArray:
+    """Resample (t, 22, 3) to (frames, 22, 3) by Catmull-Rom splines; first and last frame stay.
+
+    Linear interpolation would jerk at every original frame.
+    """
+    position = np.linspace(0, len(joints) - 1, frames)
+    low = np.minimum(position.astype(int), len(joints) - 2)
+    t = (position - low)[:, None, None].astype(np.float32)
+    # Control points beyond both ends continue the motion in a straight line.
     rows = np.concatenate([2 * joints[:1] - joints[1:2], joints, 2 * joints[-1:] - joints[-2:-1]])
-    before, start, end, after = (rows[low + i] for i in range(4))
-    linear, square = end - before, 2 * before - 5 * start + 4 * end - after
-    cubic = 3 * (start - end) + after - before
-    resampled: FloatArray = start + 0.5 * t * (linear + t * (square + t * cubic))
+    # p(t) = p1 + t/2 ((p2 - p0) + t ((2 p0 - 5 p1 + 4 p2 - p3) + t (3 (p1 - p2) + p3 - p0)))
+    p0, p1, p2, p3 = (rows[low + i] for i in range(4))
+    linear, square = p2 - p0, 2 * p0 - 5 * p1 + 4 * p2 - p3
+    cubic = 3 * (p1 - p2) + p3 - p0
+    resampled: FloatArray = p1 + 0.5 * t * (linear + t * (square + t * cubic))
     return resampled

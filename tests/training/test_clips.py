@@ -1,4 +1,4 @@
-"""Mirror images: what changes sides in captions, labels and joints, and what must not."""
+"""Mirror images of clips: what changes sides in captions, labels and joints, and what must not."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ pytest.importorskip("torch")
 from kinegraph.motion.features import features_from_joints, joints_from_features
 from kinegraph.motion.skeleton import JOINT_NAMES, PARENTS, facing_angle, mirrored
 from kinegraph_training.data.clips import MotionClip, mirrored_caption, mirrored_clip, mirrored_label, read_split
-from kinegraph_training.dataset import with_counted_steps
-from kinegraph_training.synthetic.caption_grammar import COUNTED_STEPS, PHRASES, counted_captions
+from kinegraph_training.dataset import add_step_counts
+from kinegraph_training.synthetic.caption_grammar import COUNTED_STEPS, PHRASES, step_count_captions
 
 PAIRS = (
     ("a person turns left.", "a person turns right."),
@@ -89,7 +89,7 @@ def test_phrases_of_an_image_are_the_images_of_the_phrases() -> None:
 def test_counted_captions_say_what_was_counted_and_mirror_like_the_rest(content: str) -> None:
     rng = np.random.Generator(np.random.PCG64(3))
     for steps, word in ((2, "two"), (7, "seven"), (12, "twelve")):
-        made = counted_captions(content, steps, "proud", rng)
+        made = step_count_captions(content, steps, "proud", rng)
         assert len(made) == 2 and all(re.search(rf"\b{word}\b.* steps?\b", caption) for caption in made)
     ways = {mirrored_caption(way) for way in COUNTED_STEPS[content]}
     assert ways == set(COUNTED_STEPS[mirrored_label(content)])
@@ -97,14 +97,14 @@ def test_counted_captions_say_what_was_counted_and_mirror_like_the_rest(content:
 
 @pytest.mark.parametrize(("content", "steps"), [("bow", 4), ("walk", None), ("walk", 1), ("run", 13), ("", 5)])
 def test_what_cannot_be_counted_is_not_said(content: str, steps: int | None) -> None:
-    assert counted_captions(content, steps, "normal", np.random.Generator(np.random.PCG64(3))) == ()
+    assert step_count_captions(content, steps, "normal", np.random.Generator(np.random.PCG64(3))) == ()
 
 
 def test_clips_keep_their_captions_beside_the_counted_ones() -> None:
-    clip = MotionClip("c1", walk(20), ("a person walks.",), "walk", "normal", steps=4)
-    (found,) = with_counted_steps([clip], seed=1)
+    clip = MotionClip("c1", walk(20), ("a person walks.",), ("walk",), "normal", steps=4)
+    (found,) = add_step_counts([clip], seed=1)
     assert found.captions[0] == "a person walks." and len(found.captions) == 3
-    assert found == with_counted_steps([clip], seed=1)[0] != with_counted_steps([clip], seed=2)[0]
+    assert found == add_step_counts([clip], seed=1)[0] != add_step_counts([clip], seed=2)[0]
 
 
 def test_joints_change_names_and_the_sign_of_x() -> None:
@@ -139,10 +139,10 @@ def test_the_image_turns_to_the_other_side_through_features_too() -> None:
 def test_a_mirrored_clip_is_mirrored_in_all_its_parts() -> None:
     joints = walk(20, turning=0.02)
     captions = ("a person turns left.", "someone walks.")
-    clip = MotionClip("c1", joints, captions, "walk-turn-left", "proud")
+    clip = MotionClip("c1", joints, captions, ("walk-turn-left",), "proud")
     image = mirrored_clip(clip)
     assert image.captions == ("a person turns right.", "someone walks.")
-    assert (image.content, image.style) == ("walk-turn-right", "proud")
+    assert (image.action, image.style) == ("walk-turn-right", "proud")
     assert image.id != clip.id
     np.testing.assert_array_equal(image.joints, mirrored(joints))
     # The original is not changed in place: both are trained on.
@@ -171,14 +171,14 @@ def test_captions_of_the_data_change_exactly_their_sides(source: str) -> None:
 
 def test_recorded_turns_agree_with_their_captions_in_the_image_as_well() -> None:
     # The sign of turning and the word must change together; either alone would teach the wrong side.
-    clips = [clip for clip in read_split(shared_path("data", "bandai"), "val") if clip.content == "walk-turn-left"]
+    clips = [clip for clip in read_split(shared_path("data", "bandai"), "val") if clip.action == "walk-turn-left"]
     assert clips
     turns = []
     for clip in clips:
         image = mirrored_clip(clip)
         angle = np.unwrap(facing_angle(image.joints))
         turns.append(angle[-1] - angle[0])
-        assert image.content == "walk-turn-right"
+        assert image.action == "walk-turn-right"
         assert all("left" not in caption.split() for caption in image.captions)
     # Left is positive; nearly all of these clips turn by a quarter or more.
     assert np.mean(np.array(turns) < 0) > 0.9
