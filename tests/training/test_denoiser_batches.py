@@ -17,7 +17,7 @@ from kinegraph_training import denoiser_batches
 from kinegraph_training.config import OptimiserConfig
 from kinegraph_training.data.clips import MotionClip
 from kinegraph_training.dataset import Dataset
-from kinegraph_training.denoiser_batches import COARSE_NOISE, MASK_VERBS, DenoiserBatch, DenoiserBatches, drop_nodes
+from kinegraph_training.denoiser_batches import COARSE_NOISE, VERB_MASKING, DenoiserBatch, DenoiserBatches, drop_nodes
 from kinegraph_training.latents import Latents
 from kinegraph_training.models.denoiser import DenoiserConfig, LatentShape
 from kinegraph_training.models.graph_encoder import GraphEncoder
@@ -67,7 +67,7 @@ class Masked:
 def batches(*, augment: bool, seed: int = 0, masked: object = None) -> DenoiserBatches:
     """Clip 0 has the small graph and 40 frames, clip 1 the large one and 60."""
     clips = [
-        MotionClip(name, np.zeros((frames, 22, 3), dtype=np.float32), (name,), "", "")
+        MotionClip(name, np.zeros((frames, 22, 3), dtype=np.float32), (name,), (), "")
         for name, frames in (("small", 40), ("large", 60))
     ]
     features = [np.zeros((len(clip.joints), 137), dtype=np.float32) for clip in clips]
@@ -113,7 +113,7 @@ def test_the_coarser_latent_is_noisy_in_training_and_the_target_is_not(many: Den
 def test_some_samples_have_their_verbs_masked_in_training_only() -> None:
     found = batches(augment=True, masked=Masked())([0, 1] * 2000)
     told = (found.graph.nodes[:, 0] == 7.0).all(dim=1)
-    assert float(told.double().mean()) == pytest.approx(MASK_VERBS, abs=0.02)
+    assert float(told.double().mean()) == pytest.approx(VERB_MASKING, abs=0.02)
     assert not (batches(augment=False, masked=Masked())([0, 1] * 20).graph.nodes == 7.0).any()
 
 
@@ -149,8 +149,8 @@ def test_validation_hides_nothing() -> None:
 
 @pytest.mark.parametrize("seed", range(6))
 def test_a_dropped_node_is_a_node_that_is_not_there(seed: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(denoiser_batches, "DROP_ACTION", 0.5)
-    monkeypatch.setattr(denoiser_batches, "DROP_SPECIFIC", 0.4)
+    monkeypatch.setattr(denoiser_batches, "ACTION_DROPOUT", 0.5)
+    monkeypatch.setattr(denoiser_batches, "SPECIFIC_DROPOUT", 0.4)
     torch.manual_seed(0)
     encoder = GraphEncoder(WIDTH)
     found, kept = drop_nodes(LARGE, np.random.default_rng(seed))
@@ -168,7 +168,7 @@ def test_a_dropped_node_is_a_node_that_is_not_there(seed: int, monkeypatch: pyte
 
 def test_some_seed_drops_something(monkeypatch: pytest.MonkeyPatch) -> None:
     # Or the test above would say nothing.
-    monkeypatch.setattr(denoiser_batches, "DROP_ACTION", 0.5)
+    monkeypatch.setattr(denoiser_batches, "ACTION_DROPOUT", 0.5)
     kept = [drop_nodes(LARGE, np.random.default_rng(seed))[1] for seed in range(6)]
     assert len({int(each[1:].sum()) for each in kept}) > 1
     assert {bool(each[0]) for each in kept} == {True, False}
@@ -177,7 +177,7 @@ def test_some_seed_drops_something(monkeypatch: pytest.MonkeyPatch) -> None:
 def level_loss(module: DenoiserModule, level: str, nodes: torch.Tensor, batch: DenoiserBatch, timestep: torch.Tensor,
                noise: torch.Tensor) -> torch.Tensor:  # fmt: skip
     """Mean squared error of one level's prediction: (b,)."""
-    return squared_error(module.predicted_noise(level, nodes, batch, timestep, noise), noise)
+    return squared_error(module.predict_noise(level, nodes, batch, timestep, noise), noise)
 
 
 def influence(module: DenoiserModule, level: str, batch: DenoiserBatch) -> tuple[torch.Tensor, torch.Tensor | None]:

@@ -9,7 +9,7 @@ torch = pytest.importorskip("torch")
 
 from kinegraph_training.config import read_preset
 from kinegraph_training.dataset import Dataset
-from kinegraph_training.latents import TrainedVae, encode_clips, standardised
+from kinegraph_training.latents import TrainedVae, encode_clips, standardise
 from kinegraph_training.models.vae import MotionVae
 
 PRESET = read_preset("tiny")
@@ -40,6 +40,6 @@ def test_another_normalisation_of_the_same_clips_gives_the_same_latents() -> Non
 def test_standardised_draws_have_unit_spread() -> None:
     generator = torch.Generator().manual_seed(0)
     mean, deviation = 3 * torch.randn(4000, 2, 3, generator=generator) + 5, torch.full((4000, 2, 3), 0.7)
-    drawn = standardised(mean, deviation).sample(torch.arange(4000), generator)
+    drawn = standardise(mean, deviation).sample(torch.arange(4000), generator)
     torch.testing.assert_close(drawn.mean(0), torch.zeros(2, 3), atol=0.06, rtol=0)
     torch.testing.assert_close(drawn.std(0), torch.ones(2, 3), atol=0.04, rtol=0)

@@ -3,14 +3,17 @@
     python -m kinegraph_training.train_denoisers --data DATA/bandai --held-out DATA/held_out_pairs.json \
         --run runs/edge --preset edge --assets assets
 
-Needs the three autoencoders in `--run` and the text assets (`python -m kinegraph_export.text_assets`). Stopped runs
-go on where they were. Further flags are Lightning's own: `--devices 2 --strategy ddp`, `--num-nodes 2`.
+`--run` must hold the three autoencoders, `--assets` the text files (`python -m kinegraph_export.text_assets`). The same
+command resumes a stopped run. Further flags are those of `lightning.Trainer`: `--devices 2 --strategy ddp`,
+`--num-nodes 2`.
 """
 
 from __future__ import annotations
 
 import argparse
 from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -25,31 +28,39 @@ from kinegraph.bundle.tables import BONE_LENGTHS, DURATION
 from kinegraph.diffusion.sampling import NoiseSchedule
 from kinegraph_training.bundle_tables import common_bone_lengths, fit_duration, write_tables
 from kinegraph_training.config import DataConfig, OptimiserConfig, Preset, read_preset
-from kinegraph_training.data.caption_cache import CaptionGraphs, CaptionStates, caption_states, encode_captions
+from kinegraph_training.data.caption_cache import CaptionGraphs, CaptionStates, encode_graphs, encode_states
 from kinegraph_training.data.clips import MotionClip
-from kinegraph_training.dataset import Dataset, limit_length, training_set, validation_set
+from kinegraph_training.dataset import Dataset, drop_long_clips, training_set, validation_set
 from kinegraph_training.denoiser_batches import DenoiserBatch, DenoiserBatches
-from kinegraph_training.latents import Latents, cached_latents, encode_clips, read_vae
-from kinegraph_training.losses import CLEAR, WEIGHT, SpectralMotionLoss, denoised
+from kinegraph_training.latents import Latents, encode_clips, encode_levels, read_vae
+from kinegraph_training.losses import SPECTRAL_TIMESTEPS, SPECTRAL_WEIGHT, SpectralMotionLoss, denoise
 from kinegraph_training.models.denoiser import DenoiserConfig, LatentShape
 from kinegraph_training.models.hierarchy import Hierarchy
 from kinegraph_training.trainer import (
     add_common_arguments,
+    configure_optimiser,
     last_checkpoint,
     lightning_flags,
-    optimiser,
-    start_weights,
-    trainer,
+    load_start_weights,
+    make_trainer,
 )
+
+RARE = 50
+"""Actions with fewer clips than this are rare; see `DataConfig.rare_weight`."""
+BATCHES_PER_EPOCH = 200
 
 
 def squared_error(predicted: Tensor, noise: Tensor) -> Tensor:
-    """|eps - eps'|^2 of (b, c, z), mean per sample: (b,)."""
+    """Compute |eps - eps'|^2 of (b, c, z), averaged per sample: (b,)."""
     return (predicted - noise).square().mean(dim=(1, 2))
 
 
 class DenoiserModule(L.LightningModule):
-    """Sum over levels of |eps - phi(z_t, t, graph, coarser latent)|^2, and of `SpectralMotionLoss` at the last one."""
+    """Graph encoder and denoisers with their loss.
+
+    The loss is the sum over levels of |eps - phi(z_t, t, graph, coarser latent)|^2 (GraphMotion, Eq. 6), and
+    `SpectralMotionLoss` at the finest level.
+    """
 
     def __init__(
         self,
@@ -57,10 +68,10 @@ class DenoiserModule(L.LightningModule):
         training: OptimiserConfig,
         latents: dict[str, LatentShape],
         statistics: dict[str, tuple[Tensor, Tensor]],
-        swing: SpectralMotionLoss | None = None,
+        spectral_loss: SpectralMotionLoss | None = None,
     ) -> None:
         super().__init__()
-        self.swing = swing
+        self.spectral_loss = spectral_loss
         shapes = {level: vars(shape) for level, shape in latents.items()}
         self.save_hyperparameters({"config": vars(config), "training": vars(training), "latents": shapes})
         self.hierarchy = Hierarchy(config, latents)
@@ -71,44 +82,59 @@ class DenoiserModule(L.LightningModule):
             self.register_buffer(f"{level}_centre", centre)
             self.register_buffer(f"{level}_scale", scale)
 
-    def predicted_noise(
-        self, level: str, nodes: Tensor, batch: DenoiserBatch, timestep: Tensor, noise: Tensor
-    ) -> Tensor:
-        """One level's prediction of `noise` (b, c, z) that is mixed into its latents at `timestep` (b,)."""
+    def predict_noise(self, level: str, nodes: Tensor, batch: DenoiserBatch, timestep: Tensor, noise: Tensor) -> Tensor:
+        """Mix noise into the latents of one level, and predict it.
+
+        Args:
+            level: name of the level.
+            nodes: (b, n, D) of the graph encoder.
+            batch: latents, graphs and what is hidden.
+            timestep: t, (b,).
+            noise: eps, (b, c, z).
+
+        Returns:
+            eps', (b, c, z).
+        """
         kinds = self.hierarchy.config.kinds_seen(level)
         denoiser = self.hierarchy.levels[level]
+        # z_t = sqrt(alpha_t) z_0 + sqrt(1 - alpha_t) eps
         alpha = self.alphas[timestep][:, None, None]
         noisy = alpha.sqrt() * batch.latents[level] + (1 - alpha).sqrt() * noise
         seen = (batch.graph.kind < kinds) | (batch.graph.kind == NULL_KIND)
         bias = torch.where(seen, batch.node_bias, torch.full_like(batch.node_bias, PADDING_BIAS))
-        # who has nothing else to look at is never denied the sentence
+        # A level that sees the motion node alone always sees it: with nothing to attend to, it would see the padding.
         if kinds == 1:
             bias = torch.where(batch.graph.kind == 0, torch.zeros_like(bias), bias)
         coarse = batch.coarse.get(level)
         if coarse is not None:
             bias = torch.cat([bias, batch.coarse_bias[:, None].expand(-1, coarse.shape[1])], dim=1)
         context = denoiser.context(nodes, batch.graph.kind, batch.graph.order, coarse)
-        clock = denoiser.clock(timestep, batch.frames)
-        predicted: Tensor = denoiser.step(noisy, clock, context, bias[:, None, None, :]).float()
+        modulation = denoiser.clock(timestep, batch.frames)
+        predicted: Tensor = denoiser.step(noisy, modulation, context, bias[:, None, None, :]).float()
         return predicted
 
     def losses(self, batch: DenoiserBatch, generator: torch.Generator | None = None) -> dict[str, Tensor]:
-        """Per level (b,), with timesteps stratified over the batch; "swing" is the mean of what it is measured on."""
+        """Compute the loss of every level, (b,), and under "swing" the spectral loss, one number.
+
+        Timesteps are stratified over the batch: each of its b equal parts of the schedule gives one.
+        """
         nodes = self.hierarchy.encode(batch.graph)
         count = len(batch.frames)
         terms = {}
         for level in self.hierarchy.latents:
-            place = (torch.randperm(count, generator=generator) + torch.rand(count, generator=generator)) / count
-            timestep = (place * len(self.alphas)).long().clamp(max=len(self.alphas) - 1).to(self.device)
+            part = (torch.randperm(count, generator=generator) + torch.rand(count, generator=generator)) / count
+            timestep = (part * len(self.alphas)).long().clamp(max=len(self.alphas) - 1).to(self.device)
             noise = torch.randn(batch.latents[level].shape, generator=generator).to(self.device)
-            predicted = self.predicted_noise(level, nodes, batch, timestep, noise)
+            predicted = self.predict_noise(level, nodes, batch, timestep, noise)
             terms[level] = squared_error(predicted, noise)
-            clear = timestep < CLEAR * len(self.alphas)
-            if self.swing is not None and level == LEVELS[-1] and clear.any():
+            clear = timestep < SPECTRAL_TIMESTEPS * len(self.alphas)
+            if self.spectral_loss is not None and level == LEVELS[-1] and clear.any():
                 alpha = self.alphas[timestep[clear]][:, None, None]
-                true = batch.latents[level][clear]
-                made = denoised(true, noise[clear], predicted[clear], alpha)
-                terms["swing"] = WEIGHT * CLEAR * self.swing(made, true, batch.frames[clear])
+                target = batch.latents[level][clear]
+                clean = denoise(target, noise[clear], predicted[clear], alpha)
+                spectral = self.spectral_loss(clean, target, batch.frames[clear])
+                # The mean over the clear samples stands for their share of the batch.
+                terms["swing"] = SPECTRAL_WEIGHT * SPECTRAL_TIMESTEPS * spectral
         return terms
 
     def training_step(self, batch: DenoiserBatch, index: int) -> Tensor:
@@ -119,10 +145,10 @@ class DenoiserModule(L.LightningModule):
         return loss
 
     def validation_step(self, batch: DenoiserBatch, index: int) -> None:
-        """With the text and without it, on the same noise: the gap is what the text is worth."""
-        for name, shown in (("", batch), ("_without_text", batch.without_text())):
+        """Log the losses with and without text, on the same noise: their difference is what the text is worth."""
+        for name, variant in (("", batch), ("_without_text", batch.without_text())):
             generator = torch.Generator().manual_seed(index)
-            for level, value in self.losses(shown, generator).items():
+            for level, value in self.losses(variant, generator).items():
                 self.log(f"val/{level}{name}", value.mean(), batch_size=len(batch.frames), on_epoch=True)
 
     def transfer_batch_to_device(
@@ -131,91 +157,144 @@ class DenoiserModule(L.LightningModule):
         return batch.to(device)
 
     def configure_optimizers(self) -> Any:
-        return optimiser(self.hierarchy, self.training_config, str(self.trainer.precision))
+        return configure_optimiser(self.hierarchy, self.training_config, str(self.trainer.precision))
 
 
-def clip_weights(clips: list[MotionClip], config: DataConfig) -> list[float]:
-    """Clips of rare contents are drawn more often; made compositions are as rare as they were made to be."""
-    counts = Counter(clip.content for clip in clips)
-    made = ("+", ">")
-    return [
-        config.rare_weight if counts[clip.content] < 50 and not any(mark in clip.content for mark in made) else 1.0
-        for clip in clips
-    ]
+@dataclass(frozen=True)
+class Splits:
+    """Clips of training and of validation."""
+
+    train: Dataset
+    val: Dataset
 
 
-def measured(train: Dataset, graphs: CaptionGraphs | CaptionStates) -> dict[str, FloatArray]:
-    """What the bundle says of the training clips besides the networks: how long they are, how long their bones."""
+@dataclass(frozen=True)
+class EncodedCaptions:
+    """Captions of all clips as the denoisers attend to them."""
+
+    graphs: CaptionGraphs | CaptionStates
+    masked: CaptionGraphs | None
+    """Captions of training with their verbs masked; None for a model without a graph."""
+
+
+@dataclass(frozen=True)
+class EncodedClips:
+    """Latents of all clips, by level."""
+
+    train: dict[str, Latents]
+    val: dict[str, Latents]
+    """Under the standardisation of training."""
+
+
+def load_clips(arguments: argparse.Namespace, config: DataConfig) -> Splits:
+    """Load captured and synthetic clips of training, and captured ones of validation."""
+    everything = training_set(arguments.data, config, arguments.held_out, arguments.more)
+    train = drop_long_clips(everything, config.max_frames)
+    return Splits(train, validation_set(arguments.data, "val", config, train.mean, train.std))
+
+
+def encode_captions(clips: Splits, condition: str, assets: Path, run: Path) -> EncodedCaptions:
+    """Encode all captions, or read them back from the run's caches.
+
+    Args:
+        clips: with their captions.
+        condition: of `DenoiserConfig`.
+        assets: folder of the text files.
+        run: folder of the caches `captions.npz` and `captions_masked.npz`, or `states.npz`.
+    """
+    train, val = ([caption for clip in split.clips for caption in clip.captions] for split in (clips.train, clips.val))
+    if condition == "tokens":
+        return EncodedCaptions(encode_states(train + val, assets, run / "states.npz"), None)
+    graphs = encode_graphs(train + val, assets, run / "captions.npz")
+    return EncodedCaptions(graphs, encode_graphs(train, assets, run / "captions_masked.npz", verbs_masked=True))
+
+
+def measure_tables(train: Dataset, graphs: CaptionGraphs | CaptionStates) -> dict[str, FloatArray]:
+    """Measure the tables of the bundle on the clips of training: the duration model, and the length of the bones."""
     tables = {}
     if isinstance(graphs, CaptionGraphs):
         usual = [clip for clip in train.clips if not clip.any_length]
-        frames = [(graphs.get(caption), len(clip.joints)) for clip in usual for caption in clip.captions]
-        tables[DURATION] = fit_duration(frames)
+        samples = [(graphs.get(caption), len(clip.joints)) for clip in usual for caption in clip.captions]
+        tables[DURATION] = fit_duration(samples)
     lengths = common_bone_lengths(clip.joints for clip in train.clips)
     return tables if lengths is None else {**tables, BONE_LENGTHS: lengths}
 
 
-def batches(arguments: argparse.Namespace, preset: Preset) -> tuple[DataLoader, DataLoader, dict[str, Latents]]:
-    """Training and validation batches, and the latents they come from."""
-    train = limit_length(
-        training_set(arguments.data, preset.data, arguments.held_out, arguments.more), preset.data.max_frames
-    )
-    val = validation_set(arguments.data, "val", preset.data, train.mean, train.std)
-    captions = [caption for clip in train.clips + val.clips for caption in clip.captions]
-    graphs: CaptionGraphs | CaptionStates
-    masked: CaptionGraphs | None = None
-    if preset.denoiser.condition == "tokens":
-        graphs = caption_states(captions, arguments.assets, arguments.run / "states.npz")
-    else:
-        graphs = encode_captions(captions, arguments.assets, arguments.run / "captions.npz")
-        trained_on = [caption for clip in train.clips for caption in clip.captions]
-        masked = encode_captions(trained_on, arguments.assets, arguments.run / "captions_masked.npz", verbs_masked=True)
-    write_tables(arguments.run, measured(train, graphs))
-    known = cached_latents(arguments.run, train, arguments.run / "latents.pt")
-    latents = {level: known[level] for level in preset.denoiser.levels}
-    val_latents = {}
-    for level, own in latents.items():
-        posterior = encode_clips(read_vae(arguments.run / f"vae_{level}" / "last.ckpt"), val)
-        val_latents[level] = Latents(*posterior, own.centre, own.scale)
-    config = preset.denoiser_training
-    sampler = WeightedRandomSampler(clip_weights(train.clips, preset.data), 200 * config.batch)
-    collate = DenoiserBatches(train, latents, graphs, seed=preset.seed, augment=True, masked=masked)
-    check = DenoiserBatches(val, val_latents, graphs, seed=preset.seed, augment=False)
-    numbers: Any = range(len(train.clips))
-    val_numbers: Any = range(len(val.clips))
+def write_bundle_tables(run: Path, train: Dataset, captions: EncodedCaptions) -> None:
+    """Measure the tables of the bundle and write them into the run."""
+    write_tables(run, measure_tables(train, captions.graphs))
+
+
+def encode_latents(clips: Splits, levels: Sequence[str], run: Path) -> EncodedClips:
+    """Encode all clips at some levels; latents of training are cached in the run."""
+    every_level = encode_levels(run, clips.train, run / "latents.pt")
+    train = {level: every_level[level] for level in levels}
+    val = {}
+    for level, latents in train.items():
+        posterior = encode_clips(read_vae(run / f"vae_{level}" / "last.ckpt"), clips.val)
+        val[level] = Latents(*posterior, latents.centre, latents.scale)
+    return EncodedClips(train, val)
+
+
+def sampling_weights(clips: list[MotionClip], config: DataConfig) -> list[float]:
+    """Weight clips of rare actions more; compositions are as frequent as `DataConfig` asks for, and keep weight 1."""
+    counts = Counter(clip.actions for clip in clips)
+    return [config.rare_weight if len(clip.actions) <= 1 and counts[clip.actions] < RARE else 1.0 for clip in clips]
+
+
+def make_loaders(
+    clips: Splits, captions: EncodedCaptions, latents: EncodedClips, preset: Preset
+) -> tuple[DataLoader, DataLoader]:
+    """Make batches of training, drawn at random with dropout, and of validation, in order and without."""
+    train, val, graphs = clips.train, clips.val, captions.graphs
+    size = preset.denoiser_training.batch
+    sampler = WeightedRandomSampler(sampling_weights(train.clips, preset.data), BATCHES_PER_EPOCH * size)
+    collate = DenoiserBatches(train, latents.train, graphs, seed=preset.seed, augment=True, masked=captions.masked)
+    collate_val = DenoiserBatches(val, latents.val, graphs, seed=preset.seed, augment=False)
+    train_indices: Any = range(len(train.clips))
+    val_indices: Any = range(len(val.clips))
     return (
-        DataLoader(numbers, batch_size=config.batch, sampler=sampler, collate_fn=collate, drop_last=True),
-        DataLoader(val_numbers, batch_size=config.batch, collate_fn=check),
-        latents,
+        DataLoader(train_indices, batch_size=size, sampler=sampler, collate_fn=collate, drop_last=True),
+        DataLoader(val_indices, batch_size=size, collate_fn=collate_val),
     )
+
+
+def make_spectral_loss(run: Path, latents: Latents) -> SpectralMotionLoss:
+    """Make the spectral loss of the finest level with its frozen autoencoder."""
+    autoencoder = read_vae(run / f"vae_{LEVELS[-1]}" / "last.ckpt")
+    autoencoder.vae.requires_grad_(False)
+    return SpectralMotionLoss(autoencoder, latents.centre, latents.scale)
 
 
 def main(argv: list[str] | None = None) -> None:
-    """Command line."""
+    """Run the command line."""
     parser = argparse.ArgumentParser(prog="kinegraph_training.train_denoisers", description=__doc__.split("\n")[0])
     add_common_arguments(parser)
     parser.add_argument(
         "--assets", type=Path, required=True, help="folder with text_encoder.onnx, tokenizer.json, parser.bin"
     )
     arguments, lightning = parser.parse_known_args(argv)
-    preset = read_preset(arguments.preset)
+    preset, run = read_preset(arguments.preset), arguments.run
+    config = preset.denoiser_training
     if arguments.threads:
         torch.set_num_threads(arguments.threads)
     L.seed_everything(preset.seed)
-    train, val, latents = batches(arguments, preset)
-    shapes = {level: LatentShape(*own.centre.shape) for level, own in latents.items()}
-    statistics = {level: (own.centre, own.scale) for level, own in latents.items()}
-    config = preset.denoiser_training
-    finest = latents[LEVELS[-1]]
-    decoder = read_vae(arguments.run / f"vae_{LEVELS[-1]}" / "last.ckpt")
-    decoder.vae.requires_grad_(False)
-    swing = SpectralMotionLoss(decoder, finest.centre, finest.scale)
-    module = DenoiserModule(preset.denoiser, config, shapes, statistics, swing)
+
+    clips = load_clips(arguments, preset.data)
+    captions = encode_captions(clips, preset.denoiser.condition, arguments.assets, run)
+    write_bundle_tables(run, clips.train, captions)
+    latents = encode_latents(clips, preset.denoiser.levels, run)
+    train_batches, val_batches = make_loaders(clips, captions, latents, preset)
+
+    shapes = {level: LatentShape(*own.centre.shape) for level, own in latents.train.items()}
+    statistics = {level: (own.centre, own.scale) for level, own in latents.train.items()}
+    spectral_loss = make_spectral_loss(run, latents.train[LEVELS[-1]])
+    module = DenoiserModule(preset.denoiser, config, shapes, statistics, spectral_loss)
     if arguments.start_from:
-        start_weights(module.hierarchy, arguments.start_from, "hierarchy.")
-    run = arguments.run / "denoisers"
-    loop = trainer(run, config, validate_every=min(500, config.steps), lightning=lightning_flags(lightning))
-    loop.fit(module, train, val, ckpt_path=last_checkpoint(run))
+        load_start_weights(module.hierarchy, arguments.start_from, "hierarchy.")
+    stage = run / "denoisers"
+    trainer = make_trainer(stage, config, validate_every=min(500, config.steps), lightning=lightning_flags(lightning))
+    trainer.fit(module, train_batches, val_batches, ckpt_path=last_checkpoint(stage))
 
 
 if __name__ == "__main__":

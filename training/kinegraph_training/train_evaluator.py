@@ -1,13 +1,14 @@
-"""Train the evaluator: two encoders that bring captions and motions together, on recorded clips only.
+"""Train the evaluator: encoders of captions and of motions into one joint space, on captured clips only.
 
     python -m kinegraph_training.train_evaluator --data DATA/bandai --run runs/evaluator --assets assets
 
-Stopped runs go on where they were. Further flags are Lightning's own.
+The same command resumes a stopped run. Further flags are those of `lightning.Trainer`.
 """
 
 from __future__ import annotations
 
 import argparse
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -18,26 +19,33 @@ from torch import Tensor, nn
 from torch.utils.data import DataLoader, WeightedRandomSampler
 
 from kinegraph_training.config import DataConfig, OptimiserConfig
-from kinegraph_training.data.caption_cache import CaptionStates, caption_states
+from kinegraph_training.data.caption_cache import CaptionStates, encode_states
 from kinegraph_training.data.clips import MotionClip
-from kinegraph_training.dataset import Dataset, training_set, validation_set
+from kinegraph_training.dataset import Dataset, cut_long_clips, training_set, validation_set
 from kinegraph_training.metrics import label_groups, r_precision
 from kinegraph_training.models.evaluator import EvaluatorConfig, MotionEncoder, TextEncoder, contrastive_loss
-from kinegraph_training.trainer import last_checkpoint, lightning_flags, optimiser, trainer
-from kinegraph_training.vae_batches import padded
+from kinegraph_training.trainer import configure_optimiser, last_checkpoint, lightning_flags, make_trainer
+from kinegraph_training.vae_batches import pad_clips
 
 DATA = DataConfig(splices=0, sequences=0)
-"""Recorded clips and their mirror images: what is measured with must not be made up."""
+"""Captured clips and their mirror images: the evaluator must not learn from synthetic ones."""
 TRAINING = OptimiserConfig(steps=1500, learning_rate=5e-4, warmup=100, batch=128, ema=0.998)
 TEMPERATURE = 0.1
 SEED = 11
+BATCHES_PER_EPOCH = 100
+VALIDATION_GROUPS = 20
+"""Random divisions into groups of 32 that R-precision is averaged over."""
 
 Batch = tuple[Tensor, Tensor, Tensor, Tensor, list[str]]
+"""Features and mask of motions, hidden states and mask of captions, labels."""
 
 
-def label(clip: MotionClip) -> str:
-    """Clips of one label are no negatives of one another; without labels, clips of one first caption are not."""
-    return f"{clip.content}/{clip.style}" if clip.content else clip.captions[0]
+def clip_label(clip: MotionClip) -> str:
+    """Return the label of a clip: clips of one label are not negatives of one another.
+
+    It is made of action and style; without them, of the first caption.
+    """
+    return f"{clip.action}/{clip.style}" if clip.actions else clip.captions[0]
 
 
 class EvaluatorModule(L.LightningModule):
@@ -51,76 +59,87 @@ class EvaluatorModule(L.LightningModule):
         self.register_buffer("mean", torch.tensor(mean))
         self.register_buffer("std", torch.tensor(std))
         self.validation: list[tuple[np.ndarray, np.ndarray, list[str]]] = []
+        """Embeddings of motions and captions, and labels, of each batch of validation."""
 
     def forward(self, batch: Batch) -> tuple[Tensor, Tensor]:
-        """Unit vectors (b, e) of the motions and of the captions."""
+        """Encode motions and captions to unit vectors (b, e) each."""
         features, frame_mask, states, piece_mask, _ = batch
         return self.encoders["motion"](features, frame_mask), self.encoders["text"](states, piece_mask)
 
     def training_step(self, batch: Batch, index: int) -> Tensor:
         motion, text = self(batch)
-        names = np.array(batch[-1])
-        same = torch.from_numpy(names[:, None] == names[None, :]).to(self.device)
+        labels = np.array(batch[-1])
+        same = torch.from_numpy(labels[:, None] == labels[None, :]).to(self.device)
         loss = contrastive_loss(motion.float(), text.float(), same, TEMPERATURE)
-        self.log("train/loss", loss, prog_bar=True, batch_size=len(names))
+        self.log("train/loss", loss, prog_bar=True, batch_size=len(labels))
         return loss
 
     def validation_step(self, batch: Batch, index: int) -> None:
-        motion, text = (part.float().cpu().numpy() for part in self(batch))
+        motion, text = (embedding.float().cpu().numpy() for embedding in self(batch))
         self.validation.append((motion, text, batch[-1]))
 
     def on_validation_epoch_end(self) -> None:
-        motion, text = (np.concatenate([part[side] for part in self.validation]) for side in (0, 1))
-        labels = [name for part in self.validation for name in part[2]]
+        motion, text = (np.concatenate([batch[side] for batch in self.validation]) for side in (0, 1))
+        labels = [label for batch in self.validation for label in batch[2]]
         self.validation.clear()
         rng = np.random.default_rng(0)
-        hits = [r_precision(text[rows], motion[rows]) for _ in range(20) for rows in label_groups(labels, 32, rng)]
-        for place, value in enumerate(np.mean(hits, axis=0), start=1):
-            self.log(f"val/top_{place}", float(value), prog_bar=place == 1)
+        hits = [
+            r_precision(text[rows], motion[rows])
+            for _ in range(VALIDATION_GROUPS)
+            for rows in label_groups(labels, 32, rng)
+        ]
+        for k, value in enumerate(np.mean(hits, axis=0), start=1):
+            self.log(f"val/top_{k}", float(value), prog_bar=k == 1)
 
     def configure_optimizers(self) -> Any:
-        return optimiser(self.encoders, self.training_config, str(self.trainer.precision))
+        return configure_optimiser(self.encoders, self.training_config, str(self.trainer.precision))
 
 
-def collate(dataset: Dataset, states: CaptionStates, seed: int | None) -> Any:
-    """Clip numbers -> a batch, with a caption drawn for each clip; None takes the first."""
+def make_collate(dataset: Dataset, states: CaptionStates, seed: int | None) -> Callable[[list[int]], Batch]:
+    """Make the function that turns clip indices into a batch.
+
+    Args:
+        dataset: clips with features.
+        states: of all captions.
+        seed: of the caption drawn for each clip; None takes the first caption.
+    """
     rng = None if seed is None else np.random.Generator(np.random.PCG64(seed))
     group = EvaluatorConfig().frames_per_token
 
-    def make(numbers: list[int]) -> Batch:
-        clips = [dataset.clips[number] for number in numbers]
-        chosen = [clip.captions[0 if rng is None else int(rng.integers(len(clip.captions)))] for clip in clips]
-        motion = padded([dataset.features[number] for number in numbers], group)
-        return (*motion, *padded([states.hidden(caption) for caption in chosen], 1), [label(clip) for clip in clips])
+    def collate(indices: list[int]) -> Batch:
+        clips = [dataset.clips[index] for index in indices]
+        captions = [clip.captions[0 if rng is None else int(rng.integers(len(clip.captions)))] for clip in clips]
+        motions = pad_clips([dataset.features[index] for index in indices], group)
+        texts = pad_clips([states.hidden_states(caption) for caption in captions], 1)
+        return (*motions, *texts, [clip_label(clip) for clip in clips])
 
-    return make
-
-
-def within(dataset: Dataset, max_frames: int) -> Dataset:
-    """Longer clips are cut: a few hundred frames of dance tell no more than the first ten seconds."""
-    return Dataset(dataset.clips, [rows[:max_frames] for rows in dataset.features], dataset.mean, dataset.std)
+    return collate
 
 
-def loaders(data: Path, assets: Path, run: Path, config: OptimiserConfig) -> tuple[DataLoader, DataLoader, Dataset]:
-    """Training and validation batches; rare labels are drawn more often, by the root of their number."""
-    train = within(training_set(data, DATA, None), DATA.max_frames)
-    val = validation_set(data, "val", DATA, train.mean, train.std)
-    captions = [caption for clip in train.clips + val.clips for caption in clip.captions]
-    states = caption_states(captions, assets, run / "states.npz")
-    names = [label(clip) for clip in train.clips]
-    counts = {name: names.count(name) for name in set(names)}
-    sampler = WeightedRandomSampler([counts[name] ** -0.5 for name in names], 100 * config.batch)
-    numbers: Any = range(len(train.clips))
-    val_numbers: Any = range(len(val.clips))
+def load_clips(data: Path) -> tuple[Dataset, Dataset]:
+    """Load the captured clips of training and of validation."""
+    train = cut_long_clips(training_set(data, DATA, None), DATA.max_frames)
+    return train, validation_set(data, "val", DATA, train.mean, train.std)
+
+
+def make_loaders(
+    train: Dataset, val: Dataset, states: CaptionStates, config: OptimiserConfig
+) -> tuple[DataLoader, DataLoader]:
+    """Make batches of training and validation; a clip's weight is 1 / sqrt(clips of its label)."""
+    labels = [clip_label(clip) for clip in train.clips]
+    counts = {label: labels.count(label) for label in set(labels)}
+    sampler = WeightedRandomSampler([counts[label] ** -0.5 for label in labels], BATCHES_PER_EPOCH * config.batch)
+    collate = make_collate(train, states, SEED)
+    train_indices: Any = range(len(train.clips))
+    val_indices: Any = range(len(val.clips))
     return (
-        DataLoader(numbers, config.batch, sampler=sampler, collate_fn=collate(train, states, SEED), drop_last=True),
-        DataLoader(val_numbers, 64, collate_fn=collate(val, states, None)),
-        train,
+        DataLoader(train_indices, config.batch, sampler=sampler, collate_fn=collate, drop_last=True),
+        DataLoader(val_indices, 64, collate_fn=make_collate(val, states, None)),
     )
 
 
 def main(argv: list[str] | None = None) -> None:
-    """Command line."""
+    """Run the command line."""
     parser = argparse.ArgumentParser(prog="kinegraph_training.train_evaluator", description=__doc__.split("\n")[0])
     parser.add_argument("--data", type=Path, required=True, help="folder with train.npz, captions.jsonl, index.jsonl")
     parser.add_argument("--run", type=Path, required=True, help="folder for checkpoint and curves")
@@ -130,11 +149,14 @@ def main(argv: list[str] | None = None) -> None:
     if arguments.threads:
         torch.set_num_threads(arguments.threads)
     L.seed_everything(SEED)
-    train, val, dataset = loaders(arguments.data, arguments.assets, arguments.run, TRAINING)
-    module = EvaluatorModule(EvaluatorConfig(), TRAINING, dataset.mean.tolist(), dataset.std.tolist())
+    train, val = load_clips(arguments.data)
+    captions = [caption for clip in train.clips + val.clips for caption in clip.captions]
+    states = encode_states(captions, arguments.assets, arguments.run / "states.npz")
+    train_batches, val_batches = make_loaders(train, val, states, TRAINING)
+    module = EvaluatorModule(EvaluatorConfig(), TRAINING, train.mean.tolist(), train.std.tolist())
     every = min(250, TRAINING.steps)
-    loop = trainer(arguments.run, TRAINING, validate_every=every, lightning=lightning_flags(lightning))
-    loop.fit(module, train, val, ckpt_path=last_checkpoint(arguments.run))
+    trainer = make_trainer(arguments.run, TRAINING, validate_every=every, lightning=lightning_flags(lightning))
+    trainer.fit(module, train_batches, val_batches, ckpt_path=last_checkpoint(arguments.run))
 
 
 if __name__ == "__main__":
