@@ -1,1 +1,1 @@
-"""The networks, written plainly so that they export as they read."""
+"""Networks, written so that they export as they read."""

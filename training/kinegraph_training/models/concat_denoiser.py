@@ -1,7 +1,7 @@
-"""GraphMotion's own denoiser, for comparison: every condition in one self-attention sequence with the latent.
+"""GraphMotion's own denoiser, for comparison: self-attention over conditions and latent in one sequence.
 
-Same calls as `denoiser.Denoiser`, so that training and sampling need not know which one they hold. It cannot be
-composed inside its layers (EnergyMoGen needs cross-attention) and is not exported.
+It has the interface of `denoiser.Denoiser`, so that training and sampling work with either. Without cross-attention, it
+cannot be composed inside its layers (EnergyMoGen), and it is not exported.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from kinegraph_training.models.transformer import EncoderLayer, SkipStack
 
 
 class ConcatStep(SkipStack):
-    """Self-attention over [time, conditions, latent]; the latent's places are read off."""
+    """Predictor of the noise in a latent by self-attention over [time, conditions, latent]."""
 
     def __init__(self, config: DenoiserConfig, latent: LatentShape) -> None:
         layer = (config.width, config.heads, config.feed_forward, config.dropout)
@@ -25,7 +25,17 @@ class ConcatStep(SkipStack):
         self.noise_out = nn.Linear(config.width, latent.width)
 
     def forward(self, latent: Tensor, time: Tensor, context: Tensor, bias: Tensor) -> Tensor:  # type: ignore[override]
-        """latent (r, c, z), time (r, d), context (r, s, d), bias (r, 1, 1, s) -> noise (r, c, z)."""
+        """Predict the noise.
+
+        Args:
+            latent: (r, c, z).
+            time: (r, d) of `TimestepLengthEmbedding`.
+            context: (r, s, d) of `ContextTokens`.
+            bias: (r, 1, 1, s) of the context.
+
+        Returns:
+            (r, c, z).
+        """
         sequence = torch.cat([time[:, None], context, self.latent_in(latent) + self.position], dim=1)
         free = bias.new_zeros(*bias.shape[:-1], 1)
         full = torch.cat([free, bias, free.expand(*bias.shape[:-1], self.tokens)], dim=-1)
@@ -33,7 +43,7 @@ class ConcatStep(SkipStack):
 
 
 class ConcatDenoiser(nn.Module):
-    """One level."""
+    """Denoiser of one level."""
 
     def __init__(self, config: DenoiserConfig, latent: LatentShape, coarse: LatentShape | None) -> None:
         super().__init__()

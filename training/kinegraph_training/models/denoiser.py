@@ -1,8 +1,7 @@
-"""The three cross-attention denoisers (GraphMotion, section 3.3; conditions by cross-attention as in EnergyMoGen).
+"""Cross-attention denoisers of the three levels (GraphMotion, section 3.3; cross-attention as in EnergyMoGen).
 
-Split along what changes: `ContextEncoder` runs once per sample and yields every layer's keys and values,
-`AdaLNModulation` once
-for all diffusion steps, `NoisePredictor` at every diffusion step on the latent tokens alone.
+A denoiser is split by how often its parts run. `ContextEncoder` computes the keys and values of every layer once per
+sample, `AdaLNModulation` runs once for all diffusion steps, `NoisePredictor` at every step, on the latent tokens alone.
 
 Shapes: r latent rows, a attention rows (r = a in training), c latent tokens, z latent width, n nodes, s context
 tokens, d width, h heads, m modulations.
@@ -34,7 +33,7 @@ KeyValue = list[tuple[Tensor, Tensor]]
 
 @dataclass(frozen=True)
 class DenoiserConfig:
-    """Shape of the three denoisers and of the graph encoder."""
+    """Shape of the denoisers and of the graph encoder."""
 
     width: int
     layers: int
@@ -45,14 +44,14 @@ class DenoiserConfig:
     train_steps: int = 1000
     max_frames: int = 196
     max_order: int = 16
-    """Orders of actions with an embedding of their own; later actions share the last."""
+    """Number of embeddings for the order of actions; later actions share the last."""
     kind: str = "cross"
-    """"cross": conditions by cross-attention (the product); "concat": in one sequence with the latent (GraphMotion as
-    published; for comparison, cannot be exported)."""
+    """"cross": cross-attention to the conditions; "concat": one sequence with the latent, GraphMotion as published (for
+    comparison, cannot be exported)."""
     condition: str = "graph"
-    """What is attended to: the semantic "graph", the "tokens" of the caption, or the "sentence" alone (as in MLD)."""
+    """Conditions: the semantic "graph", the "tokens" of the caption, or the "sentence" alone (as in MLD)."""
     reasoning: bool = True
-    """Whether graph attention (Eq. 1-3) runs over the nodes first."""
+    """Whether graph attention (GraphMotion, Eq. 1-3) runs over the nodes first."""
     nodes_seen: str = "level"
     """Nodes of the graph that a level attends to: those of its "level" and the coarser ones, or "all"."""
     levels: tuple[str, ...] = LEVELS
@@ -73,7 +72,7 @@ class DenoiserConfig:
             raise InvalidInputError(f"levels must be some of {', '.join(LEVELS)}, in order, up to the last one")
 
     def kinds_seen(self, level: str) -> int:
-        """A level sees nodes of kinds 0 .. k-1; the tokens of a caption all count as kind 0."""
+        """Return k, where a level sees nodes of kinds 0 .. k-1; all tokens of a caption have kind 0."""
         if self.condition != "graph":
             return 1
         return len(NODE_KINDS) if self.nodes_seen == "all" else LEVELS.index(level) + 1
@@ -81,7 +80,7 @@ class DenoiserConfig:
 
 @dataclass(frozen=True)
 class LatentShape:
-    """Latent of one level."""
+    """Shape of the latent of one level."""
 
     tokens: int
     width: int
@@ -89,16 +88,16 @@ class LatentShape:
 
 @dataclass(frozen=True)
 class RowMixing:
-    """How attention rows and latent rows belong together; None in training, where they are the same."""
+    """Mapping between latent rows and attention rows of a composition; None in training, where they are the same."""
 
     src: Tensor
-    """(a,) latent row that each attention row reads."""
+    """(a,) index of the latent row that each attention row reads."""
     combine: Tensor
-    """(r, a) mixes attention outputs back into rows."""
+    """(r, a) coefficients that combine attention outputs into latent rows."""
 
 
 class ContextTokens(nn.Module):
-    """Nodes and the coarser latent as normalised tokens of model width."""
+    """Embedding of nodes and of the coarser latent as normalised tokens of model width."""
 
     def __init__(self, config: DenoiserConfig, coarse: LatentShape | None) -> None:
         super().__init__()
@@ -112,19 +111,27 @@ class ContextTokens(nn.Module):
         self.norm = nn.LayerNorm(width)
 
     def forward(self, nodes: Tensor, kind: Tensor, order: Tensor, coarse: Tensor | None = None) -> Tensor:
-        """nodes (a, n, D), kind and order (a, n), coarse (a, c', z) -> (a, s, d).
+        """Embed nodes and the coarser latent; a node of kind NULL_KIND is the null token, whatever its features.
 
-        A node of kind NULL_KIND is the learned null token, whatever its features.
+        Args:
+            nodes: (a, n, D).
+            kind: (a, n).
+            order: (a, n).
+            coarse: (a, c', z) latent of the level above; None at the first level.
+
+        Returns:
+            (a, s, d).
         """
-        given = (kind != NULL_KIND).to(nodes.dtype)[..., None]
-        context = self.node_in(nodes) * given + self.kind(kind) + self.order(order.clamp(max=self.last_order)) * given
+        has_text = (kind != NULL_KIND).to(nodes.dtype)[..., None]
+        order_embedding = self.order(order.clamp(max=self.last_order))
+        context = self.node_in(nodes) * has_text + self.kind(kind) + order_embedding * has_text
         if self.coarse_in is not None:
             context = torch.cat([context, self.coarse_in(coarse) + self.coarse_position], dim=1)
         return self.norm(context)
 
 
 class ContextEncoder(ContextTokens):
-    """Context tokens -> keys and values of every layer."""
+    """Projection of the context tokens to the keys and values of every layer."""
 
     def __init__(self, config: DenoiserConfig, coarse: LatentShape | None) -> None:
         super().__init__(config, coarse)
@@ -134,15 +141,17 @@ class ContextEncoder(ContextTokens):
     def forward(  # type: ignore[override]
         self, nodes: Tensor, kind: Tensor, order: Tensor, coarse: Tensor | None = None
     ) -> KeyValue:
-        """As `ContextTokens.forward` -> per layer key and value (a, h, s, d/h)."""
+        """Compute key and value (a, h, s, d/h) of every layer; arguments as in `ContextTokens.forward`."""
         context = super().forward(nodes, kind, order, coarse)
         pairs = (layer(context).chunk(2, dim=-1) for layer in self.key_value)
         return [(split_heads(key, self.heads), split_heads(value, self.heads)) for key, value in pairs]
 
 
 class TimestepLengthEmbedding(nn.Module):
-    """Embedding of the diffusion step plus that of the clip's length: a latent that does not know how long its clip
-    is comes out time-warped."""
+    """Sum of the embeddings of the diffusion timestep and of the clip's length.
+
+    A denoiser that does not know the length of the clip makes time-warped motion.
+    """
 
     def __init__(self, config: DenoiserConfig) -> None:
         super().__init__()
@@ -153,12 +162,12 @@ class TimestepLengthEmbedding(nn.Module):
         )
 
     def forward(self, step: Tensor, frames: Tensor) -> Tensor:
-        """Diffusion steps and frames, of shapes that broadcast to (...,) -> (..., d)."""
+        """Embed timesteps and frames, of shapes that broadcast to (...,), as (..., d)."""
         return self.time(sinusoid(step.float(), self.width)) + self.length(sinusoid(frames.float(), self.width))
 
 
 class AdaLNModulation(TimestepLengthEmbedding):
-    """Adaptive LayerNorm (Peebles & Xie, 2023): scale and shift of every normalisation, from step and length."""
+    """Adaptive LayerNorm (Peebles & Xie, 2023): scale and shift of every normalisation, from timestep and length."""
 
     def __init__(self, config: DenoiserConfig) -> None:
         super().__init__(config)
@@ -169,15 +178,16 @@ class AdaLNModulation(TimestepLengthEmbedding):
         self.out.bias = nn.Parameter(start.flatten())
 
     def forward(self, step: Tensor, frames: Tensor) -> Tensor:
-        """As `TimestepLengthEmbedding` -> (..., m, d), m = layers x MODULATIONS."""
-        both = self.out(nn.functional.silu(super().forward(step, frames)))
-        return both.unflatten(-1, (-1, self.width))
+        """Compute (..., m, d), m = layers x MODULATIONS; arguments as in `TimestepLengthEmbedding.forward`."""
+        modulation = self.out(nn.functional.silu(super().forward(step, frames)))
+        return modulation.unflatten(-1, (-1, self.width))
 
 
 class CrossAttention(nn.Module):
-    """Latent tokens attend to a context given as keys and values.
+    """Attention of latent tokens to a context, given as keys and values.
 
-    z' of EnergyMoGen's Eq. 9 is mixed over attention rows *before* the output projection, inside every layer.
+    In a composition, attention rows are combined *before* the output projection, inside every layer (z' of EnergyMoGen,
+    Eq. 9).
     """
 
     def __init__(self, width: int, heads: int) -> None:
@@ -190,12 +200,12 @@ class CrossAttention(nn.Module):
         return self.combine_rows(attend(self.queries(x, mixing), key, value, bias), mixing)
 
     def queries(self, x: Tensor, mixing: RowMixing | None) -> Tensor:
-        """(r, c, d) -> (a, h, c, d/h)."""
+        """Project (r, c, d) to queries (a, h, c, d/h)."""
         query = split_heads(self.query(x), self.heads)
         return query if mixing is None else query[mixing.src]
 
     def combine_rows(self, attended: Tensor, mixing: RowMixing | None) -> Tensor:
-        """(a, h, c, d/h) -> (r, c, d)."""
+        """Combine attention outputs (a, h, c, d/h) into latent rows, and project them: (r, c, d)."""
         merged = merge_heads(attended)
         if mixing is None:
             return self.out(merged)
@@ -204,13 +214,13 @@ class CrossAttention(nn.Module):
 
 
 class AdaptiveNorm(nn.LayerNorm):
-    """LayerNorm with the scale and shift that a `AdaLNModulation` hands out."""
+    """LayerNorm with scale and shift from `AdaLNModulation`."""
 
     def __init__(self, width: int) -> None:
         super().__init__(width, elementwise_affine=False)
 
     def forward(self, x: Tensor, scale: Tensor, shift: Tensor) -> Tensor:  # type: ignore[override]
-        """x (r, c, d), scale and shift (r, 1, d)."""
+        """Normalise x (r, c, d) with scale and shift (r, 1, d)."""
         return super().forward(x) * scale + shift
 
 
@@ -228,16 +238,23 @@ class DenoiserLayer(nn.Module):
     def forward(
         self, x: Tensor, modulation: Sequence[Tensor], pair: tuple[Any, ...], bias: Tensor, mixing: RowMixing | None
     ) -> Tensor:
-        """modulation: scale and shift of the three normalisations, (r, 1, d) each; pair: what the cross-attention
-        attends to, key and value unless it makes its own (`agd`)."""
-        before_self, shift_self, before_cross, shift_cross, before_feed, shift_feed = modulation
-        x = x + self.dropout(self.self_attention(self.norm(x, before_self, shift_self), None))
-        x = x + self.dropout(self.cross_attention(self.norm(x, before_cross, shift_cross), *pair, bias, mixing))
-        return x + self.dropout(self.feed(self.norm(x, before_feed, shift_feed)))
+        """Run the layer on x (r, c, d).
+
+        Args:
+            x: latent tokens.
+            modulation: scale and shift of the three normalisations, (r, 1, d) each.
+            pair: key and value of the context; with AGD, the context that the layer projects itself.
+            bias: (a, 1, 1 or c, s) of the context.
+            mixing: rows of a composition.
+        """
+        scale_self, shift_self, scale_cross, shift_cross, scale_feed, shift_feed = modulation
+        x = x + self.dropout(self.self_attention(self.norm(x, scale_self, shift_self), None))
+        x = x + self.dropout(self.cross_attention(self.norm(x, scale_cross, shift_cross), *pair, bias, mixing))
+        return x + self.dropout(self.feed(self.norm(x, scale_feed, shift_feed)))
 
 
 class NoisePredictor(SkipStack):
-    """Predicts the noise in a latent, one diffusion step."""
+    """Predictor of the noise in a latent at one diffusion step."""
 
     def __init__(self, config: DenoiserConfig, latent: LatentShape) -> None:
         super().__init__([DenoiserLayer(config) for _ in range(config.layers)], config.width)
@@ -253,20 +270,31 @@ class NoisePredictor(SkipStack):
         bias: Tensor,
         mixing: RowMixing | None = None,
     ) -> Tensor:
-        """latent (r, c, z), modulation (r, m, d), context of (a, h, s, d/h), bias (a, 1, 1 or c, s) -> (r, c, z)."""
+        """Predict the noise.
+
+        Args:
+            latent: z_t, (r, c, z).
+            modulation: (r, m, d) of `AdaLNModulation`.
+            context: per layer key and value (a, h, s, d/h).
+            bias: (a, 1, 1 or c, s) of the context.
+            mixing: rows of a composition.
+
+        Returns:
+            eps', (r, c, z).
+        """
         x = self.latent_in(latent) + self.position
-        pieces = modulation.split(1, dim=1)
-        kept: list[Tensor] = []
+        rows = modulation.split(1, dim=1)
+        skips: list[Tensor] = []
         for index, (layer, pair) in enumerate(zip(self.layers, context, strict=True)):
-            own = pieces[MODULATIONS * index : MODULATIONS * (index + 1)]
-            x = layer(self.join(index, x, kept), own, pair, bias, mixing)
+            layer_modulation = rows[MODULATIONS * index : MODULATIONS * (index + 1)]
+            x = layer(self.join(index, x, skips), layer_modulation, pair, bias, mixing)
             if index < len(self.layers) // 2:
-                kept.append(x)
+                skips.append(x)
         return self.noise_out(self.norm(x))
 
 
 class Denoiser(nn.Module):
-    """One level: context encoder, clock and step network."""
+    """Denoiser of one level."""
 
     def __init__(self, config: DenoiserConfig, latent: LatentShape, coarse: LatentShape | None) -> None:
         super().__init__()

@@ -1,8 +1,7 @@
-"""A motion and a text encoder into one joint space, in the spirit of Guo et al. (2022) and TMR (Petrovich et al.,
-2023).
+"""Motion and text encoders into one joint space, after Guo et al. (2022) and TMR (Petrovich et al., 2023).
 
-Trained apart from the generator: it measures, and is never part of a bundle. b clips or captions, l frames, t word
-pieces, e joint width.
+They measure generated motion, are trained apart from the generator, and are no part of a bundle. Shapes: b clips or
+captions, l frames, s tokens, f features, e joint width.
 """
 
 from __future__ import annotations
@@ -13,7 +12,8 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from kinegraph_training.models.transformer import MASKED, EncoderLayer, sinusoid
+from kinegraph.bundle.contract import PADDING_BIAS
+from kinegraph_training.models.transformer import EncoderLayer, sinusoid
 
 
 @dataclass(frozen=True)
@@ -34,7 +34,7 @@ class EvaluatorConfig:
 
 
 class SequenceEncoder(nn.Module):
-    """Tokens with sinusoidal places -> transformer -> mean over real tokens -> unit vector."""
+    """Transformer over tokens with sinusoidal positions; the mean over real tokens becomes a unit vector."""
 
     def __init__(self, config: EvaluatorConfig, token_width: int, layers: int) -> None:
         super().__init__()
@@ -46,10 +46,10 @@ class SequenceEncoder(nn.Module):
         self.out = nn.Linear(config.width, config.joint_width)
 
     def forward(self, tokens: Tensor, mask: Tensor) -> Tensor:
-        """tokens (b, s, token_width), mask (b, s) 1 for real ones -> (b, e) of unit length."""
-        place = torch.cumsum(torch.ones_like(mask), dim=1) - 1.0
-        x = self.token_in(tokens) + sinusoid(place, self.width)
-        bias = ((1.0 - mask) * MASKED)[:, None, None, :]
+        """Encode tokens (b, s, token_width) with mask (b, s), 1 for real ones, to (b, e) of unit length."""
+        position = torch.cumsum(torch.ones_like(mask), dim=1) - 1.0
+        x = self.token_in(tokens) + sinusoid(position, self.width)
+        bias = ((1.0 - mask) * PADDING_BIAS)[:, None, None, :]
         for layer in self.layers:
             x = layer(x, bias)
         pooled = (self.norm(x) * mask[..., None]).sum(dim=1) / mask.sum(dim=1, keepdim=True).clamp(min=1.0)
@@ -57,37 +57,37 @@ class SequenceEncoder(nn.Module):
 
 
 class MotionEncoder(SequenceEncoder):
-    """Groups of frames are the tokens."""
+    """Encoder of motion; its tokens are groups of frames."""
 
     def __init__(self, config: EvaluatorConfig) -> None:
         super().__init__(config, config.features * config.frames_per_token, config.motion_layers)
         self.group = config.frames_per_token
 
     def forward(self, features: Tensor, frame_mask: Tensor) -> Tensor:
-        """features (b, l, f) normalised, l a multiple of the group; frame_mask (b, l) -> (b, e)."""
+        """Encode normalised features (b, l, f) with mask (b, l), l a multiple of the group, to (b, e)."""
         batch, frames, width = features.shape
         tokens = (features * frame_mask[..., None]).reshape(batch, frames // self.group, self.group * width)
         return super().forward(tokens, frame_mask[:, :: self.group])
 
 
 class TextEncoder(SequenceEncoder):
-    """Hidden states of the (frozen) caption encoder are the tokens."""
+    """Encoder of captions; its tokens are the hidden states of the frozen text encoder."""
 
     def __init__(self, config: EvaluatorConfig) -> None:
         super().__init__(config, config.text_width, config.text_layers)
 
 
 def contrastive_loss(motion: Tensor, text: Tensor, same: Tensor, temperature: float) -> Tensor:
-    """Symmetric InfoNCE (TMR, Eq. 3-4) without false negatives.
+    """Compute symmetric InfoNCE (TMR, Eq. 3-4) without false negatives.
 
     Args:
         motion: (b, e) unit vectors.
         text: (b, e), row i describes motion i.
-        same: (b, b) True where caption j describes motion i as well, though it is another clip's.
+        same: (b, b) True where caption j, of another clip, describes motion i too.
         temperature: of the softmax.
     """
     scores = motion @ text.T / temperature
-    own = torch.eye(len(scores), dtype=torch.bool, device=scores.device)
-    scores = scores.masked_fill(same & ~own, MASKED)
+    diagonal = torch.eye(len(scores), dtype=torch.bool, device=scores.device)
+    scores = scores.masked_fill(same & ~diagonal, PADDING_BIAS)
     target = torch.arange(len(scores), device=scores.device)
     return 0.5 * (functional.cross_entropy(scores, target) + functional.cross_entropy(scores.T, target))

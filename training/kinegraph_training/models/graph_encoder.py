@@ -23,7 +23,7 @@ class GraphEncoder(nn.Module):
         self.relational = nn.Parameter(torch.randn(2, width, len(ROLES)) * width**-0.5)
 
     def forward(self, nodes: Tensor, relation: Tensor, edge_weight: Tensor, node_mask: Tensor) -> Tensor:
-        """Eq. 1-3 with the edge weight w as a log-prior: e~_ij = w_ij exp(e_ij) / sum_k w_ik exp(e_ik).
+        """Compute Eq. 1-3 with the edge weight w as a log-prior: e~_ij = w_ij exp(e_ij) / sum_k w_ik exp(e_ik).
 
         Args:
             nodes: (b, n, D) v.
@@ -42,7 +42,7 @@ class GraphEncoder(nn.Module):
         relational = (one_hot * pair).sum(dim=-1)
         scores = functional.leaky_relu(common, 0.2) + functional.leaky_relu(relational, 0.2)
         neighbour = (relation >= 0) & (edge_weight > 0)
-        # the clamp only keeps log away from 0; such entries are masked out
+        # The clamp keeps log away from 0; entries of weight 0 are masked below.
         scores = scores + torch.log(edge_weight.clamp(min=1e-38))
         scores = torch.where(neighbour, scores, torch.full_like(scores, PADDING_BIAS))
         attention = torch.softmax(scores, dim=-1)

@@ -1,4 +1,4 @@
-"""Graph encoder and the three denoisers as one module: what the diffusion stage trains."""
+"""Graph encoder and the three denoisers as one module, which the diffusion stage trains."""
 
 from __future__ import annotations
 
@@ -13,18 +13,24 @@ from kinegraph_training.models.graph_encoder import GraphEncoder
 
 @dataclass(frozen=True)
 class GraphBatch:
-    """b graphs of n nodes as tensors; see kinegraph.conditioning.GraphArrays."""
+    """Batch of b graphs, padded to n nodes; see `kinegraph.conditioning.GraphArrays`."""
 
     nodes: Tensor
+    """(b, n, D)."""
     relation: Tensor
+    """(b, n, n)."""
     edge_weight: Tensor
+    """(b, n, n)."""
     node_mask: Tensor
+    """(b, n) 1 for nodes, 0 for padding."""
     kind: Tensor
+    """(b, n)."""
     order: Tensor
+    """(b, n)."""
 
 
 class Hierarchy(nn.Module):
-    """Levels coarse to fine, each conditioned on the graph and on the latent of the level above."""
+    """Denoisers from coarse to fine, each conditioned on the graph and on the latent of the level above."""
 
     def __init__(self, config: DenoiserConfig, latents: dict[str, LatentShape]) -> None:
         super().__init__()
@@ -40,7 +46,7 @@ class Hierarchy(nn.Module):
         )
 
     def encode(self, graph: GraphBatch) -> Tensor:
-        """Node features (b, n, D), after graph attention where there is a graph to reason over."""
+        """Compute node features (b, n, D), by graph attention unless the configuration does without."""
         if self.config.condition != "graph" or not self.config.reasoning:
             return graph.nodes
         return self.graph_encoder(graph.nodes, graph.relation, graph.edge_weight, graph.node_mask)

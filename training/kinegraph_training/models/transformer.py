@@ -1,7 +1,9 @@
-"""Transformer blocks shared by the autoencoders and the denoisers.
+"""Transformer blocks shared by the autoencoders, the denoisers and the evaluator.
 
-Legend of shapes: b batch, s sequence, c latent tokens, d width, h heads. Attention is written as matmul and softmax:
-for sequences this short it is 1.5 times faster to train on a CPU than torch's fused kernel, and it exports as it reads.
+Attention is written as matmul and softmax: for sequences this short it trains 1.5 times faster on a CPU than torch's
+fused kernel, and it exports as it reads.
+
+Shapes: b batch, s sequence, d width, h heads.
 """
 
 from __future__ import annotations
@@ -12,24 +14,31 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-MASKED = -1e4
-"""Additive bias of what must not be attended to; finite, so that a row of them is not NaN."""
-
 
 def split_heads(x: Tensor, heads: int) -> Tensor:
-    """(b, s, d) -> (b, h, s, d/h)."""
+    """Split (b, s, d) into heads (b, h, s, d/h)."""
     batch, length, width = x.shape
     return x.reshape(batch, length, heads, width // heads).transpose(1, 2)
 
 
 def merge_heads(x: Tensor) -> Tensor:
-    """(b, h, s, d/h) -> (b, s, d)."""
+    """Merge heads (b, h, s, d/h) into (b, s, d)."""
     batch, heads, length, width = x.shape
     return x.transpose(1, 2).reshape(batch, length, heads * width)
 
 
 def attend(query: Tensor, key: Tensor, value: Tensor, bias: Tensor | None) -> Tensor:
-    """softmax(q k^T / sqrt(d/h) + bias) v, all (b, h, s, d/h); bias broadcasts to (b, h, queries, keys)."""
+    """Compute softmax(q k^T / sqrt(d/h) + bias) v.
+
+    Args:
+        query: q, (b, h, queries, d/h).
+        key: k, (b, h, keys, d/h).
+        value: v, (b, h, keys, d/h).
+        bias: broadcasts to (b, h, queries, keys); PADDING_BIAS hides a key.
+
+    Returns:
+        (b, h, queries, d/h).
+    """
     scores = query @ key.transpose(-1, -2) * (1.0 / math.sqrt(query.shape[-1]))
     if bias is not None:
         scores = scores + bias
@@ -37,7 +46,7 @@ def attend(query: Tensor, key: Tensor, value: Tensor, bias: Tensor | None) -> Te
 
 
 class SelfAttention(nn.Module):
-    """Multi-head self-attention; `bias` is (b, 1, 1, s), 0 or MASKED."""
+    """Multi-head self-attention; `bias` is (b, 1, 1, s), 0 or PADDING_BIAS."""
 
     def __init__(self, width: int, heads: int) -> None:
         super().__init__()
@@ -74,8 +83,11 @@ class EncoderLayer(nn.Module):
 
 
 class SkipStack(nn.Module):
-    """Long skip connections as in MLD: layers 0..k-1, a middle one, and k more that each take, projected
-    from 2d to d, the output of its mirror image. The number of layers is odd."""
+    """Stack of an odd number of layers with long skip connections, as in MLD.
+
+    Of 2k + 1 layers, each of the last k reads the output of the layer before it beside that of its mirror image among
+    the first k, projected from 2d to d.
+    """
 
     def __init__(self, layers: list[nn.Module], width: int) -> None:
         super().__init__()
@@ -85,24 +97,24 @@ class SkipStack(nn.Module):
         self.joins = nn.ModuleList(nn.Linear(2 * width, width) for _ in range(len(layers) // 2))
         self.norm = nn.LayerNorm(width)
 
-    def join(self, index: int, x: Tensor, kept: list[Tensor]) -> Tensor:
-        """What layer `index` reads, given the outputs kept from the first half."""
+    def join(self, index: int, x: Tensor, skips: list[Tensor]) -> Tensor:
+        """Compute the input of layer `index` from the output before it and the outputs of the first half, a stack."""
         half = len(self.layers) // 2
         if index <= half:
             return x
-        return self.joins[index - half - 1](torch.cat([x, kept.pop()], dim=-1))
+        return self.joins[index - half - 1](torch.cat([x, skips.pop()], dim=-1))
 
     def forward(self, x: Tensor, bias: Tensor | None) -> Tensor:
-        kept: list[Tensor] = []
+        skips: list[Tensor] = []
         for index, layer in enumerate(self.layers):
-            x = layer(self.join(index, x, kept), bias)
+            x = layer(self.join(index, x, skips), bias)
             if index < len(self.layers) // 2:
-                kept.append(x)
+                skips.append(x)
         return self.norm(x)
 
 
 def sinusoid(position: Tensor, width: int) -> Tensor:
-    """(...,) real positions -> (..., width): sine half, then cosine half (Vaswani et al., 2017)."""
+    """Encode real positions (...,) as (..., width): sines, then cosines (Vaswani et al., 2017)."""
     half = width // 2
     frequency = torch.exp(torch.arange(half, device=position.device) * (-math.log(10000.0) / half))
     angle = position[..., None] * frequency
@@ -110,5 +122,5 @@ def sinusoid(position: Tensor, width: int) -> Tensor:
 
 
 def smooth_l1(difference: Tensor, beta: float = 1.0) -> Tensor:
-    """Element-wise SmoothL1 of a difference."""
+    """Compute SmoothL1 of each element of a difference."""
     return functional.smooth_l1_loss(difference, torch.zeros_like(difference), beta=beta, reduction="none")

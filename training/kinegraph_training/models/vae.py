@@ -1,8 +1,11 @@
-"""Motion autoencoder of one level (GraphMotion, section 3.2, Eq. 4-5): frames <-> C latent tokens.
+"""Motion autoencoder of one level (GraphMotion, section 3.2, Eq. 4-5): frames <-> latent tokens.
 
-Differs from the published one where measurement said so: four frames per token, pre-norm, a narrow latent, a direct
-path (the frames of segment k of the clip are pooled into token k, and tokens are interpolated back over the clip), a
-log-variance that starts at -5, and a convolution over frames that hides the seams between the groups of four.
+It differs from the published one where measurements said so. Four frames make a token of the transformer; layers are
+pre-norm; the latent is narrow; the log-variance starts at -5. A direct path pools the frames of segment k of the clip
+into latent token k, and interpolates latent tokens back over the clip. A convolution over frames hides the seams
+between groups of four.
+
+Shapes: b clips, l frames, p groups of frames, f features, c latent tokens, z latent width, d width.
 """
 
 from __future__ import annotations
@@ -13,15 +16,20 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from kinegraph_training.models.transformer import MASKED, EncoderLayer, SkipStack, sinusoid
+from kinegraph.bundle.contract import PADDING_BIAS
+from kinegraph_training.models.transformer import EncoderLayer, SkipStack, sinusoid
+
+ENCODER_PARTS = frozenset(("patch_in", "query", "encoder", "to_mean", "to_log_variance"))
+"""Attributes of `MotionVae` that belong to the encoder; all others belong to the decoder."""
 
 
 @dataclass(frozen=True)
 class VaeConfig:
-    """Shape of one level's autoencoder."""
+    """Shape of the autoencoder of one level."""
 
     features: int
     tokens: int
+    """Latent tokens."""
     latent_width: int
     width: int
     layers: int
@@ -33,13 +41,14 @@ class VaeConfig:
 
 
 def segment_weights(patch_mask: Tensor, tokens: int) -> Tensor:
-    """Linear interpolation between the centres of `tokens` equal segments of each clip.
+    """Compute weights of linear interpolation between the centres of equal segments of each clip.
 
     Args:
         patch_mask: (b, p) 1 for real groups of frames.
+        tokens: segments, one for each latent token.
 
     Returns:
-        (b, p, tokens); rows sum to 1, also on padding.
+        (b, p, c); rows sum to 1, also on padding.
     """
     length = patch_mask.sum(dim=1, keepdim=True)
     position = (torch.cumsum(torch.ones_like(patch_mask), dim=1) - 0.5) / length * tokens
@@ -49,7 +58,7 @@ def segment_weights(patch_mask: Tensor, tokens: int) -> Tensor:
 
 
 class ConvolutionBlock(nn.Module):
-    """Residual convolution over frames; padding frames are silent."""
+    """Residual convolution over frames; padding counts as zeros."""
 
     def __init__(self, channels: int) -> None:
         super().__init__()
@@ -63,7 +72,7 @@ class ConvolutionBlock(nn.Module):
 
 
 class MotionVae(nn.Module):
-    """b clips, l frames (a multiple of frames_per_token), f features, n tokens, z latent width."""
+    """Variational autoencoder of clips whose padded length l is a multiple of `frames_per_token`."""
 
     def __init__(self, config: VaeConfig) -> None:
         super().__init__()
@@ -86,18 +95,26 @@ class MotionVae(nn.Module):
         self.features_out = nn.Linear(config.frame_channels, config.features)
 
     def patch_mask(self, frame_mask: Tensor) -> Tensor:
-        """(b, l) -> (b, l / frames_per_token): a group is real when its first frame is."""
+        """Reduce a mask (b, l) to groups of frames (b, p): a group is real if its first frame is."""
         return frame_mask[:, :: self.config.frames_per_token]
 
     def positions(self, patch_mask: Tensor) -> Tensor:
-        """(b, p, d): place counted from the start and from the end, so that the clip's length is known."""
+        """Encode positions (b, p, d) from the start and from the end, so that the length of the clip is known."""
         index = torch.cumsum(torch.ones_like(patch_mask), dim=1) - 1.0
         from_end = patch_mask.sum(dim=1, keepdim=True) - 1.0 - index
         half = self.config.width // 2
         return torch.cat([sinusoid(index, half), sinusoid(from_end, half)], dim=-1)
 
     def encode(self, features: Tensor, frame_mask: Tensor) -> tuple[Tensor, Tensor]:
-        """q(z | motion), Eq. 4. features (b, l, f), frame_mask (b, l) -> mean, log-variance, both (b, n, z)."""
+        """Compute the posterior q(z | motion) (GraphMotion, Eq. 4).
+
+        Args:
+            features: (b, l, f).
+            frame_mask: (b, l) 1 for real frames.
+
+        Returns:
+            Mean and log-variance, (b, c, z) each.
+        """
         config = self.config
         batch, frames, _ = features.shape
         features = features * frame_mask[..., None]
@@ -108,13 +125,21 @@ class MotionVae(nn.Module):
         queries = self.query + torch.cat([pooled, pooled], dim=1)
         sequence = torch.cat([queries, patches + self.positions(mask)], dim=1)
         bias = torch.cat([mask.new_ones(batch, 2 * config.tokens), mask], dim=1)
-        bias = ((1.0 - bias) * MASKED)[:, None, None, :]
+        bias = ((1.0 - bias) * PADDING_BIAS)[:, None, None, :]
         encoded = self.encoder(sequence, bias)
         mean = self.to_mean(encoded[:, : config.tokens])
         return mean, self.to_log_variance(encoded[:, config.tokens : 2 * config.tokens])
 
     def decode(self, latent: Tensor, frame_mask: Tensor) -> Tensor:
-        """latent (b, n, z), frame_mask (b, l) -> features (b, l, f), zero on padding (GraphMotion, Eq. 5)."""
+        """Decode latents to features (GraphMotion, Eq. 5).
+
+        Args:
+            latent: (b, c, z).
+            frame_mask: (b, l) 1 for real frames.
+
+        Returns:
+            (b, l, f), zero on padding.
+        """
         config = self.config
         batch, frames = frame_mask.shape
         mask = self.patch_mask(frame_mask)
@@ -122,7 +147,7 @@ class MotionVae(nn.Module):
         queries = segment_weights(mask, config.tokens) @ tokens + self.positions(mask)
         sequence = torch.cat([tokens + self.latent_position, queries], dim=1)
         bias = torch.cat([mask.new_ones(batch, config.tokens), mask], dim=1)
-        bias = ((1.0 - bias) * MASKED)[:, None, None, :]
+        bias = ((1.0 - bias) * PADDING_BIAS)[:, None, None, :]
         decoded = self.decoder(sequence, bias)[:, config.tokens :]
         x = self.patch_out(decoded).reshape(batch, frames, config.frame_channels)
         for block in self.smooth:
