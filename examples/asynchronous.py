@@ -1,4 +1,4 @@
-"""In an asynchronous program: clips are made in threads, the event loop stays free, a timeout stops the models."""
+"""Generate clips in threads of an asyncio program: the event loop stays free, and a timeout stops the models."""
 
 import asyncio
 import threading
@@ -12,7 +12,7 @@ async def generate(pipe: MotionPipeline, text: str, seconds: float, timeout: flo
     try:
         return await asyncio.wait_for(work, timeout)
     finally:
-        stop.set()  # timed out or cancelled: the thread ends after the step it is in
+        stop.set()  # after a timeout or a cancellation, the thread ends with its present step
 
 
 async def main() -> None:

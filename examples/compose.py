@@ -1,4 +1,4 @@
-"""Several motions at once, then several one after another."""
+"""Compose several motions at once, then several one after another, and make a loop for a game."""
 
 from kinegraph import Concept, MotionPipeline
 
@@ -16,5 +16,5 @@ scene.save("scene.glb", force=True)
 print(f"scene.glb: {scene.duration:g} seconds: {scene.text}")
 
 walk = pipe.generate("a person walks forward", seconds=4, seed=7)
-walk.looped().in_place().resampled(60).save("walk_cycle.glb", force=True)  # for a game that moves the character itself
+walk.looped().in_place().resampled(60).save("walk_cycle.glb", force=True)  # the game moves the character
 print("walk_cycle.glb: a loop in place at 60 frames per second")

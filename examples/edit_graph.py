@@ -1,4 +1,4 @@
-"""The semantic graph of a sentence: look at it, weigh one edge, put other words in, keep it as JSON."""
+"""Edit the semantic graph of a sentence: look at it, weigh one edge, replace words, keep it as JSON."""
 
 import json
 from pathlib import Path
@@ -24,5 +24,5 @@ for weight in (0.5, 0.75, 1.0):
 
 other = replaced(graph, "to the right", "to the left")
 print(f"{other.caption}: {turn(pipe.generate(other, seconds=4, seed=6)):.0f} degrees")
-Path("graph.json").write_text(json.dumps(other.to_dict(), indent=2))  # correct it by hand, and read it again
+Path("graph.json").write_text(json.dumps(other.to_dict(), indent=2))  # edit it by hand, and read it again
 print(SemanticGraph.from_json(Path("graph.json").read_text()) == other)

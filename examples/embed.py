@@ -1,8 +1,8 @@
-"""Ten lines that put kinegraph into a program."""
+"""Use kinegraph in a program, in ten lines."""
 
 from kinegraph import MotionPipeline
 
-pipe = MotionPipeline.load()  # once; any number of threads may share it
+pipe = MotionPipeline.load()  # load once; any number of threads may share it
 clip = pipe.generate("a person walks forward", seconds=4, seed=7)
 clip.save("walk.glb", force=True)
 print(f"{clip.frames} frames at {clip.fps:g} per second, seed {clip.seed}")

@@ -1,4 +1,4 @@
-"""A progress line, and a stop: `on_step` is called after every diffusion step, and returning False ends the run."""
+"""Show progress and cancel a run: `on_step` is called after every diffusion step; returning False stops."""
 
 import time
 

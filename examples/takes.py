@@ -1,4 +1,4 @@
-"""Takes of one sentence, to choose from. They share the runs of the models: more than twice as many clips a second."""
+"""Generate several takes of one sentence and choose one. They share the runs of the models."""
 
 import numpy as np
 

@@ -1,19 +1,26 @@
 #!/bin/sh
-# The pictures of the README, by the default bundle. Needs `pip install ".[text,plot,play,browser]"` and a chromium.
+# Make the pictures of README and docs with the default bundle.
+# Needs `pip install ".[text,plot,play,browser]"` and a chromium.
 set -eu
 cd "$(dirname "$0")"
-kinegraph() { "${PYTHON:-../../.venv/bin/python}" -m kinegraph "$@" --force; }
+python="${PYTHON:-../../.venv/bin/python}"
+kinegraph() { "$python" -m kinegraph "$@" --force; }
 
+# docs/python.md
 kinegraph generate "an old person walks and turns left" --seconds 4 --seed 3 -o turn.png
-kinegraph generate "a person walks forward while waving the right hand" --seconds 4 --seed 9 -o together.gif
 kinegraph sequence "a person walks forward" "a person bows" --seconds 3 --seed 2 -o sequence.png
+# README.md
+kinegraph generate "a person walks forward while waving the right hand" --seconds 4 --seed 9 -o together.gif
+# docs/graph.md
 kinegraph parse "a person walks and turns right" --weight "right=0.5" --svg graph.svg
 kinegraph generate "a person walks and turns right" --seconds 4 --seed 6 --weight "right=0.5" -o graph_less.png
 kinegraph generate "a person walks and turns right" --seconds 4 --seed 6 -o graph_more.png
-"${PYTHON:-../../.venv/bin/python}" pages.py
+# README.md, docs/cli.md: play.jpg, phone.jpg, view.jpg
+"$python" pages.py
+# docs/composition.md
 kinegraph compose --and "a person walks forward" --and "a person raises both hands" --seconds 4 --seed 2 -o compose_walk.png
 kinegraph compose --and "a person walks and turns left" --and "a person waves both hands" --seconds 4 --seed 6 -o compose_turn.png
 kinegraph compose --and "a person walks and turns left while a person waves both hands" --not "a person waves both hands" --seconds 4 --seed 6 -o compose_not.png
-# the map alone is kept: of the clip there is a GIF already
+# of this clip only the energies are kept
 kinegraph compose --and "a person walks forward" --and "a person waves the right hand" --seconds 4 --seed 4 -o composed.npz --energy energy.png
 rm composed.npz

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import argparse
+import ast
 import re
+from importlib import import_module
 from pathlib import Path
 
 import pytest
@@ -141,3 +143,12 @@ def test_the_changelog_knows_this_version() -> None:
     assert versions[0] == ("Unreleased", "")
     assert versions[1][0] == kinegraph.__version__
     assert all(date for _, date in versions[1:])
+
+
+def test_the_script_of_the_pictures_imports_what_is_there() -> None:
+    pytest.importorskip("uvicorn")
+    script = ast.parse(read("docs/pictures/pages.py"))
+    imports = [node for node in script.body if isinstance(node, ast.ImportFrom)]
+    ours = [(str(node.module), name.name) for node in imports for name in node.names if "kinegraph" in str(node.module)]
+    assert len(ours) > 4
+    assert [name for module, name in ours if not hasattr(import_module(module), name)] == []
