@@ -42,7 +42,7 @@ class Fake:
     def _clip(raised: bool) -> Any:
         joints = walk(40).copy()
         if raised:
-            joints[:, [20, 21], 1] = 2.5
+            joints[:, [20, 21]] = joints[:, [16, 17]] + np.array([0.0, 1.0, 0.0])  # wrists above the shoulders
         return type("Clip", (), {"joints": joints})
 
 

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from itertools import product
+
 import numpy as np
 import pytest
 
@@ -9,7 +12,9 @@ from kinegraph.motion.skeleton import JOINT_INDEX, bone_lengths, mirrored
 from kinegraph_benchmarks.common import predicates as p
 from kinegraph_benchmarks.common.behaviour_prompts import ACTIONS, BEHAVIOURS
 from kinegraph_training import metrics
+from kinegraph_training.data.clips import read_split
 from support.motions import posed, t_pose, turn, walk
+from support.shared import shared_path
 
 
 def gesture(left: float, right: float, frames: int = 40, swing: float = 0.0) -> np.ndarray:
@@ -131,10 +136,117 @@ def test_bone_error_is_in_millimetres() -> None:
     assert 0.5 < metrics.bone_error(joints, lengths) < 1.05
 
 
+def raised_arm(swing: float, cycles: float, frames: int = 80, jitter: float = 0.0) -> np.ndarray:
+    """Raise the right arm, swing the forearm by `swing` radians to each side while it is up, and lower the arm."""
+    rows, rng = [], np.random.default_rng(0)
+    for share in np.linspace(0, 1, frames):
+        raised = min(1.0, 4 * np.sin(np.pi * share))
+        up = (share - 0.2) / 0.6
+        sway = swing * np.sin(2 * np.pi * cycles * up) if 0 < up < 1 else 0.0
+        rows.append(
+            posed(
+                np.array([0.0, 0.95, 0.0]),
+                {
+                    16: turn("z", -1.4),
+                    17: turn("z", 1.4 - 1.6 * raised),
+                    19: turn("z", -1.2 * raised + sway + jitter * rng.uniform(-1, 1)),
+                },
+            )
+        )
+    return np.stack(rows).astype(np.float32)
+
+
 def test_a_walkers_swinging_arms_are_no_wave() -> None:
     joints = walk(60)
     assert p.wrist_path(joints, "right") > 0.8
-    assert not any(p.swings_high(side)(joints) for side in ("left", "right", "both"))
-    joints[:, JOINT_INDEX["right_wrist"], 1] = 1.9 + 0.1 * np.sin(np.arange(60))
-    assert p.swings_high("right")(joints)
-    assert not p.swings_high("left")(joints) and not p.swings_high("both")(joints)
+    assert not any(p.waves_beside(side)(joints) for side in ("left", "right", "both"))
+    waving = raised_arm(0.4, 3.0, 60) + (joints[:, :1] - joints[:1, :1])
+    assert p.waves_beside("right")(waving) and not p.waves("right")(waving)
+    assert not p.waves_beside("left")(waving) and not p.waves_beside("both")(waving)
+
+
+def test_raising_is_no_waving() -> None:
+    joints = raised_arm(0.0, 0.0)
+    assert p.raises("right")(joints) and p.raises_beside("right")(joints)
+    assert p.wrist_path(joints, "right") > 0.8
+    assert not p.hand_waves(joints, "right")
+
+
+@pytest.mark.parametrize("cycles", [1.0, 2.0, 6.0])
+@pytest.mark.parametrize("frames", [40, 80, 160])
+def test_a_hand_that_goes_to_and_fro_twice_waves(cycles: float, frames: int) -> None:
+    joints = raised_arm(0.4, cycles, frames)
+    assert p.waves("right")(joints) and not p.waves("left")(joints) and not p.waves("both")(joints)
+    assert p.waves("left")(mirrored(joints))
+    assert not p.raises("right")(joints) and not p.raises_beside("right")(joints)
+    assert p.wave_strokes(joints, "right").max() == pytest.approx(2 * 0.25 * np.sin(0.4), rel=0.2)
+
+
+def test_a_raised_hand_that_trembles_does_not_wave() -> None:
+    for joints in (raised_arm(0.0, 0.0, jitter=0.04), raised_arm(0.06, 4.0)):
+        assert p.raises("right")(joints) and not p.hand_waves(joints, "right")
+
+
+def test_a_hand_beside_the_shoulder_may_wave_in_quick_flicks() -> None:
+    # the upper arm hangs, the forearm stands upright, and the wrist moves by 2 cm or by 4 mm, in 0.5 s or in 2 s
+    def flick(angle: float, seconds: float) -> np.ndarray:
+        angles = angle * np.sin(2 * np.pi * np.arange(60) / 20 / seconds)
+        rows = [posed(np.zeros(3), {17: turn("z", 1.4), 19: turn("z", -2.9 + sway)}) for sway in angles]
+        return np.stack(rows).astype(np.float32)
+
+    assert p.hand_waves(flick(0.05, 0.5), "right")
+    assert not p.hand_waves(flick(0.01, 0.5), "right") and not p.hand_waves(flick(0.05, 2.0), "right")
+
+
+def test_turning_points_are_between_moves_of_a_stroke() -> None:
+    values = np.array([0.0, 1.0, 0.5, 2.0, 0.9, 1.0, 0.0, 3.0])
+    assert p.turning_points(values, 1.0) == [3, 6]
+    assert p.turning_points(values, 0.5) == [1, 2, 3, 6]
+    assert p.turning_points(-values, 1.0) == [3, 6]
+    assert p.turning_points(values[:1], 1.0) == [] and p.turning_points(np.zeros(0), 1.0) == []
+
+
+def windows(joints: np.ndarray, seconds: float) -> list[np.ndarray]:
+    """Cut windows of that length, half a second apart; the whole clip where it is not longer, or for 0 seconds."""
+    frames = round(seconds * p.FPS)
+    if not frames or len(joints) <= frames:
+        return [joints]
+    return [joints[start : start + frames] for start in range(0, len(joints) - frames + 1, 10)]
+
+
+def raised_part(joints: np.ndarray, side: str) -> np.ndarray:
+    """Cut out the frames from the first to the last in which the hand is above its elbow."""
+    high = joints[:, JOINT_INDEX[f"{side}_wrist"], 1] > joints[:, JOINT_INDEX[f"{side}_elbow"], 1]
+    first, last = np.flatnonzero(high)[[0, -1]]
+    return joints[first : last + 1]
+
+
+def test_captured_waves_wave_and_nothing_else_does(figure: Callable[[str], None]) -> None:
+    data = shared_path("data", "bandai")
+    clips = [clip for split in ("train", "val", "dev_test", "dev_compositional") for clip in read_split(data, split)]
+    rates: dict[tuple[str, float], list[bool]] = {}
+    for clip, seconds in product(clips, (0.0, 2.0, 3.0, 4.0, 6.0)):
+        name = clip.action[:4]
+        if name == "wave":
+            for side in [side for side in p.SIDES if side in clip.action or "both" in clip.action]:
+                part = raised_part(clip.joints, side) if seconds else clip.joints
+                held = [p.hand_waves(window, side) for window in windows(part, seconds)]
+                rates.setdefault((f"waves, {clip.style}", seconds), []).extend(held)
+        elif name in ("walk", "run", "rais"):
+            moving = windows(clip.joints, seconds)
+            held = [any(p.hand_waves(window, side) for side in p.SIDES) for window in moving]
+            rates.setdefault((name, seconds), []).extend(held)
+    for (name, seconds), held in rates.items():
+        rate, least = float(np.mean(held)), 0.9 if (name, seconds) == ("waves, feminine", 2.0) else 0.95
+        assert rate >= least if name.startswith("waves") else rate <= 0.02, (name, seconds, rate)
+    for seconds in (0.0, 2.0, 3.0, 4.0, 6.0):
+        held = [
+            value
+            for (name, length), values in rates.items()
+            if "waves" in name and length == seconds
+            for value in values
+        ]
+        assert np.mean(held) >= 0.95
+        raises = float(np.mean(rates["rais", seconds]))
+        what = f"{seconds:g} s of captured clips" if seconds else "whole captured clips"
+        figure(f"waving hands: {what}: met by {np.mean(held):.3f} of waves, {raises:.4f} of raises")

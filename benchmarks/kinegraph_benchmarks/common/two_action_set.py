@@ -32,11 +32,11 @@ STEP = 4
 ALONE: dict[str, p.Predicate] = {behaviour.action: behaviour.holds for behaviour in ACTIONS + RARE}
 """The predicate of an action while nothing else goes on."""
 BESIDE = ALONE | {
-    "wave-left-hand": p.swings_high("left"),
-    "wave-right-hand": p.swings_high("right"),
-    "wave-both-hands": p.swings_high("both"),
-    "raise-up-left-hand": lambda joints: p.above_head(joints, "left"),
-    "raise-up-right-hand": lambda joints: p.above_head(joints, "right"),
+    "wave-left-hand": p.waves_beside("left"),
+    "wave-right-hand": p.waves_beside("right"),
+    "wave-both-hands": p.waves_beside("both"),
+    "raise-up-left-hand": p.raises_beside("left"),
+    "raise-up-right-hand": p.raises_beside("right"),
 }
 """The predicate of an action beside another one, which may use the other hand and the legs."""
 
