@@ -110,7 +110,9 @@ class Clip:
         """
         return replace(self, joints=make_loop(self.joints, self.fps, foot_fix=foot_fix), loops=True)
 
-    def save(self, path: str | os.PathLike[str], *, force: bool = False, names: str = DEFAULT_NAMES) -> None:
+    def save(
+        self, path: str | os.PathLike[str], *, force: bool = False, names: str = DEFAULT_NAMES, root: bool = False
+    ) -> None:
         """Write a file; its suffix chooses the format (`formats.WRITERS`).
 
         The file appears complete or not at all.
@@ -119,9 +121,11 @@ class Clip:
             path: file to write, in a folder that exists.
             force: replace an existing file.
             names: naming convention of the joints in `.bvh` and `.glb`: "smpl" or "mixamo".
+            root: in `.bvh` and `.glb`, add a joint "root" on the floor, above the pelvis, that carries travel and
+                heading, as engines expect for root motion.
 
         Raises:
-            InvalidInputError: unknown naming convention, or the format has none.
+            InvalidInputError: unknown naming convention, or the format has no convention or no root joint.
             OutputError: the file cannot be written there; see `files.check_target`.
             MissingExtraError: the format needs a package that is not installed.
         """
@@ -129,7 +133,7 @@ class Clip:
         from kinegraph.formats import WRITERS, check_clip_target, encode
 
         check_clip_target(path, force)
-        write_atomically(path, encode(self, suffix_of(path, WRITERS), names), force=force)
+        write_atomically(path, encode(self, suffix_of(path, WRITERS), names, root), force=force)
 
 
 def _validate_joints(joints: object) -> FloatArray:

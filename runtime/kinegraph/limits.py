@@ -16,6 +16,9 @@ MAX_NODES: Final = 32
 MAX_FRAMES: Final = 196
 """Frames of one generated clip (HumanML3D's limit; 9.8 s at 20 frames per second)."""
 
+MAX_READ_FRAMES: Final = 200_000
+"""Frames of a saved clip that is read: an hour at 50 per second."""
+
 MAX_TAKES: Final = 64
 """Clips of one call."""
 

@@ -15,11 +15,11 @@ import pytest
 
 from kinegraph.clip import Clip
 from kinegraph.errors import InvalidInputError
-from kinegraph.formats import encode
+from kinegraph.formats import WRITERS, encode
 from kinegraph.formats.glb_mesh import body_mesh
 from kinegraph.motion.kinematics import rest_offsets
-from kinegraph.motion.skeleton import CONVENTIONS, JOINTS, PARENTS
-from support.cli_runs import fails
+from kinegraph.motion.skeleton import CONVENTIONS, JOINT_INDEX, JOINTS, PARENTS, facing_angle
+from support.cli_runs import fails, not_loaded
 from support.motions import recorded, walk
 from support.readers import GlbReader
 
@@ -60,6 +60,74 @@ def test_the_skin_leaves_the_rest_pose_as_it_is_and_carries_the_body_along(tmp_p
             vertices = skinned[skin_joints[:, 0] == joint]
             if len(vertices):
                 assert np.linalg.norm(vertices - world[joint][:3, 3], axis=-1).min() < 0.15
+
+
+@pytest.mark.parametrize("root", [False, True])
+def test_the_rest_and_the_bind_pose_stand_on_the_floor(tmp_path: Path, root: bool) -> None:
+    for joints in motions():
+        reader = GlbReader(encode(clip(joints), ".glb", root=root), tmp_path)
+        world, skin = reader.world_transforms(None), reader.file.skins[0]
+        rest = np.stack([world[node] for node in skin.joints])
+        inverse = reader.array(skin.inverseBindMatrices).reshape(-1, 4, 4).transpose(0, 2, 1)
+        np.testing.assert_allclose(rest @ inverse, np.tile(np.eye(4), (len(rest), 1, 1)), atol=1e-6)
+        place = rest[:JOINTS, :3, 3]
+        assert place[:, 1].min() == pytest.approx(0.0, abs=1e-6)
+        assert place[0, 0] == place[0, 2] == 0.0 and 0.7 < place[0, 1] < 1.1
+        # the arms are out to the sides, and the soles are near the floor
+        wrists = place[[JOINT_INDEX["left_wrist"], JOINT_INDEX["right_wrist"]]]
+        assert wrists[0, 0] > 0.4 and wrists[1, 0] < -0.4 and (wrists[:, 1] > place[0, 1] + 0.3).all()
+        soles = reader.array(reader.file.meshes[0].primitives[0].attributes.POSITION)[:, 1].min()
+        assert abs(soles) < 0.03
+
+
+@pytest.mark.parametrize("turning", [0.0, 0.1])
+def test_a_root_joint_carries_travel_and_heading_and_leaves_the_joints_where_they_are(
+    tmp_path: Path, turning: float
+) -> None:
+    joints = walk(60, turning=turning)
+    for names, expected in CONVENTIONS.items():
+        plain = GlbReader(encode(clip(joints), ".glb", names), tmp_path)
+        reader = GlbReader(encode(clip(joints), ".glb", names, True), tmp_path)
+        assert tuple(node.name for node in reader.file.nodes) == (*expected, "root", "body")
+        assert reader.file.nodes[JOINTS].children == [0]
+        assert reader.file.scenes[0].nodes == [JOINTS, JOINTS + 1] and reader.file.skins[0].skeleton == JOINTS
+        assert len(reader.file.skins[0].joints) == JOINTS + 1
+        for frame in (0, 31, 59):
+            world = reader.world_transforms(frame)
+            np.testing.assert_allclose(reader.joints(frame)[:JOINTS], plain.joints(frame), atol=1e-6)
+            np.testing.assert_allclose(world[JOINTS][:3, 3], joints[frame, 0] * (1, 0, 1), atol=1e-6)
+            np.testing.assert_allclose(world[JOINTS][:3, 1], (0, 1, 0), atol=1e-6)
+            ahead = np.arctan2(world[JOINTS][0, 2], world[JOINTS][2, 2])
+            heading = float(facing_angle(joints)[frame])
+            assert abs(np.angle(np.exp(1j * (ahead - heading)))) < 1e-5
+            # relative to the root the pelvis hardly moves over the floor and hardly turns
+            pelvis = np.linalg.inv(world[JOINTS]) @ world[0]
+            assert np.abs(pelvis[[0, 2], 3]).max() < 1e-3
+            assert pelvis[2, 2] > 0.95
+
+
+def test_the_root_of_a_clip_in_place_stays_and_that_of_a_loop_closes(tmp_path: Path) -> None:
+    walking = clip(walk(80, turning=0.03))
+    tracks = root_tracks(walking.in_place(), tmp_path)
+    assert np.ptp(tracks["translation"], axis=0).max() < 1e-6
+    loop = walking.looped()
+    tracks, pelvis = root_tracks(loop, tmp_path), root_tracks(loop, tmp_path, 0)
+    assert np.linalg.norm(tracks["translation"][-1] - tracks["translation"][0]) > 0.3
+    for path in ("translation", "rotation"):
+        np.testing.assert_allclose(pelvis[path][-1], pelvis[path][0], atol=1e-4)
+    tracks = root_tracks(loop.in_place(), tmp_path)
+    for path in ("translation", "rotation"):
+        np.testing.assert_allclose(tracks[path][-1], tracks[path][0], atol=1e-5)
+
+
+def root_tracks(shown: Clip, folder: Path, node: int = JOINTS) -> dict[str, np.ndarray]:
+    reader = GlbReader(encode(shown, ".glb", root=True), folder)
+    animation = reader.file.animations[0]
+    return {
+        channel.target.path: reader.array(animation.samplers[channel.sampler].output)
+        for channel in animation.channels
+        if channel.target.node == node
+    }
 
 
 def test_the_file_says_where_it_comes_from_and_names_its_joints(tmp_path: Path) -> None:
@@ -105,12 +173,13 @@ def test_the_validator_of_the_standard_finds_no_fault(tmp_path: Path) -> None:
         "require('gltf-validator').validateBytes(new Uint8Array(require('fs').readFileSync(process.argv[1])))"
         ".then(report => console.log(JSON.stringify(report.issues)))"
     )
-    (tmp_path / "clip.glb").write_bytes(encode(clip(walk(30)), ".glb", "mixamo"))
-    process = subprocess.run(
-        ["node", "-e", script, str(tmp_path / "clip.glb")], cwd=folder, capture_output=True, text=True, check=True
-    )
-    issues = json.loads(process.stdout)
-    assert issues["numErrors"] == issues["numWarnings"] == 0, issues
+    for root in (False, True):
+        (tmp_path / "clip.glb").write_bytes(encode(clip(walk(30)), ".glb", "mixamo", root))
+        process = subprocess.run(
+            ["node", "-e", script, str(tmp_path / "clip.glb")], cwd=folder, capture_output=True, text=True, check=True
+        )
+        issues = json.loads(process.stdout)
+        assert issues["numErrors"] == issues["numWarnings"] == issues["numInfos"] == 0, issues
 
 
 def test_names_are_refused_where_there_are_none(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -122,3 +191,15 @@ def test_names_are_refused_where_there_are_none(tmp_path: Path, capsys: pytest.C
     assert list(tmp_path.iterdir()) == []
     words = ["generate", "a person walks", "-o", str(tmp_path / "a.npz"), "--names", "mixamo"]
     assert "not for .npz" in fails(capsys, *words)
+
+
+def test_a_root_joint_is_refused_where_there_is_no_skeleton(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("kinegraph.pipeline.MotionPipeline.load", not_loaded)
+    for suffix in sorted(WRITERS.keys() - {".bvh", ".glb"}):
+        with pytest.raises(InvalidInputError, match=rf"a root joint is for .bvh, .glb, not for {suffix}"):
+            encode(clip(walk(9)), suffix, root=True)
+        for command in (["generate", "a person walks"], ["compose", "--and", "x"], ["sequence", "x", "y"]):
+            assert f"not for {suffix}" in fails(capsys, *command, "-o", str(tmp_path / f"a{suffix}"), "--root")
+    assert list(tmp_path.iterdir()) == []

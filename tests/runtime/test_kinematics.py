@@ -11,9 +11,12 @@ from kinegraph.motion.kinematics import (
     REST_DIRECTIONS,
     apply_twist,
     forward_kinematics,
+    join_root,
     rest_offsets,
+    rest_pose,
     rotations_from_positions,
     spine_twist,
+    split_root,
 )
 from kinegraph.motion.skeleton import JOINT_INDEX, PARENTS, bone_lengths, facing_angle
 from support.motions import largest_twist, posed, recorded, t_pose, turn, walk, world_turns
@@ -91,6 +94,31 @@ def test_rest_offsets_have_the_mean_lengths_and_stand_upright() -> None:
     right = [JOINT_INDEX[name] for name in ("right_hip", "right_collar", "right_shoulder", "right_wrist")]
     np.testing.assert_allclose(offsets[left] * [-1, 1, 1], offsets[right], atol=1e-3)
     assert (offsets[left, 0] > 0.03).all()
+
+
+def test_the_rest_pose_stands_on_the_floor() -> None:
+    offsets = rest_offsets(walk(50, turning=0.1, heading=1.0))
+    rest = rest_pose(offsets)
+    assert rest[:, 1].min() == 0.0 and not rest[0, [0, 2]].any()
+    parents = list(PARENTS[1:])
+    np.testing.assert_allclose(rest[1:] - rest[parents], offsets[1:], atol=1e-12)
+    feet = rest[[JOINT_INDEX["left_foot"], JOINT_INDEX["right_foot"]], 1]
+    np.testing.assert_allclose(feet, 0.0, atol=1e-3)
+
+
+@pytest.mark.parametrize("turning", [0.0, 0.2])
+def test_a_root_joint_splits_the_motion_of_the_pelvis_and_gives_it_back(turning: float) -> None:
+    joints = walk(80, turning=turning, heading=0.7)
+    motion = rotations_from_positions(joints, 20.0)
+    split = split_root(motion, joints)
+    assert not split.root[:, 1].any()
+    np.testing.assert_array_equal(split.root[:, [0, 2]], joints[:, 0, [0, 2]].astype(float))
+    np.testing.assert_allclose(q.rotate(split.root_rotations, np.array([0.0, 1.0, 0.0]))[:, 1], 1.0)
+    for rotations in (split.root_rotations, split.pelvis_rotations):
+        assert (rotations[1:] * rotations[:-1]).sum(-1).min() > 0
+    pelvis, rotations = join_root(split)
+    np.testing.assert_allclose(pelvis, motion.root, atol=1e-12)
+    np.testing.assert_allclose(np.abs((rotations * motion.rotations[:, 0]).sum(-1)), 1.0)
 
 
 @pytest.mark.parametrize("heading", [0.0, 1.2, 3.0])

@@ -82,7 +82,7 @@ def add_sequence(parser: argparse.ArgumentParser) -> None:
 
 def add_view(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of `view`."""
-    parser.add_argument("clips", nargs="+", type=Path, metavar="CLIP", help="clips saved as .npz, side by side")
+    parser.add_argument("clips", nargs="+", type=Path, metavar="CLIP", help="saved as .npz, .json, .glb or .bvh")
     parser.add_argument("-o", "--output", type=Path, metavar="FILE", help="keep the page as this .html")
     _add_force(parser)
     parser.add_argument("--no-browser", dest="browser", action="store_false", help="only write the page")
@@ -146,6 +146,9 @@ def _add_sampling_and_output(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--names", default="smpl", metavar="CONVENTION", help="joint names in .bvh and .glb: smpl (default) or mixamo"
+    )
+    parser.add_argument(
+        "--root", action="store_true", help="add a joint 'root' that carries travel and heading in .bvh and .glb"
     )
     parser.add_argument("--fps", type=float, metavar="N", help="frames per second of the file; default: the model's 20")
     parser.add_argument("--in-place", action="store_true", help="remove travel over the floor")

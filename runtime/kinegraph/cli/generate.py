@@ -159,12 +159,13 @@ def _make_one_by_one(
 
 def _check_targets(args: argparse.Namespace) -> list[Path]:
     """List the files to write, and refuse those that cannot be written before anything is computed for them."""
-    from kinegraph.formats import check_clip_target, check_names
+    from kinegraph.formats import check_clip_target, check_names, check_root
     from kinegraph.motion.resampling import check_fps
 
     # The cheapest checks come first.
     targets = take_paths(args.output, args.takes)
     check_names(args.output.suffix.lower(), args.names)
+    check_root(args.output.suffix.lower(), args.root)
     for target in targets:
         check_clip_target(target, args.force)
     if args.fps is not None:
@@ -195,7 +196,7 @@ def _run(args: argparse.Namespace, targets: Sequence[Path], make_clips: MakeClip
     generated = time.perf_counter()
     for target, clip in zip(targets, clips, strict=True):
         write_start = time.perf_counter()
-        clip.save(target, force=args.force, names=args.names)
+        clip.save(target, force=args.force, names=args.names, root=args.root)
         record = {
             "file": str(target),
             "frames": len(clip.joints),

@@ -15,12 +15,12 @@ def view(args: argparse.Namespace) -> int:
     import webbrowser
 
     from kinegraph.files import check_target, write_atomically
+    from kinegraph.formats import read
     from kinegraph.formats.html import clips_page
-    from kinegraph.formats.npz import read_npz
 
     if args.output is not None:
         check_target(args.output, args.force, (".html",))
-    data = clips_page([read_npz(path) for path in args.clips])
+    data = clips_page([read(path) for path in args.clips])
     target = args.output or Path(tempfile.mkdtemp(prefix="kinegraph-")) / "clips.html"
     write_atomically(target, data, force=args.force)
     print(target)

@@ -1,8 +1,10 @@
 """`.bvh`: a skeleton with joint rotations, for animation programs.
 
-Centimetres, Y up, degrees. The rest pose is a T-pose that faces +Z; every joint rotates by `R = Rz Rx Ry` (channel
-order Z, X, Y). Only the root moves. Its OFFSET is zero, so that programs which add it to the position and those which
-do not agree.
+Centimetres, Y up, degrees. The rest pose is a T-pose that stands on the floor and faces +Z; every joint rotates by
+`R = Rz Rx Ry` (channel order Z, X, Y). Only the pelvis moves, and the root joint above it where there is one.
+
+Position channels are measured from the parent and replace the OFFSET, as Blender reads and writes them. (Some readers
+add the two; for those the pelvis would have to rest at the origin, below the floor.)
 """
 
 from __future__ import annotations
@@ -12,9 +14,9 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from kinegraph.arrays import Floats
-from kinegraph.motion.kinematics import CHILDREN, rotations_from_positions
+from kinegraph.motion.kinematics import CHILDREN, rest_pose, rotations_from_positions, split_root
 from kinegraph.motion.quaternions import to_matrix
-from kinegraph.motion.skeleton import CONVENTIONS, DEFAULT_NAMES, JOINT_NAMES, PELVIS
+from kinegraph.motion.skeleton import CONVENTIONS, DEFAULT_NAMES, JOINT_NAMES, PELVIS, ROOT_NAME
 
 if TYPE_CHECKING:
     from kinegraph.clip import Clip
@@ -30,18 +32,32 @@ END_SITES: Final[dict[str, tuple[float, float, float]]] = {
     "right_foot": (0.0, 0.0, 0.06),
 }
 """Metres from the last joint of a chain to the end of the body."""
+_TURNING: Final = "CHANNELS 3 Zrotation Xrotation Yrotation"
+_MOVING: Final = "CHANNELS 6 Xposition Yposition Zposition Zrotation Xrotation Yrotation"
 
 
-def encode(clip: Clip, names: str = DEFAULT_NAMES) -> bytes:
-    """Encode a clip as BVH; `names` is a key of `skeleton.CONVENTIONS`."""
+def encode(clip: Clip, names: str = DEFAULT_NAMES, root: bool = False) -> bytes:
+    """Encode a clip as BVH.
+
+    Args:
+        clip: clip to encode.
+        names: a key of `skeleton.CONVENTIONS`.
+        root: add a joint on the floor that carries travel and heading (`kinematics.split_root`).
+    """
     motion = rotations_from_positions(clip.joints, clip.fps, loops=clip.loops)
-    order = _depth_first(PELVIS)
-    angles = np.degrees(euler_zxy(to_matrix(motion.rotations)))[:, order]
-    rows = np.concatenate([motion.root * CENTIMETRES, angles.reshape(clip.frames, -1)], axis=1)
-    lines = ["HIERARCHY", *_hierarchy_lines(PELVIS, motion.rest_offsets, CONVENTIONS[names], "")]
-    lines += ["MOTION", f"Frames: {clip.frames}", f"Frame Time: {1.0 / clip.fps:.8f}"]
+    positions, rotations = motion.root, motion.rotations
+    columns = []
+    if root:
+        split = split_root(motion, clip.joints)
+        columns = [split.root * CENTIMETRES, _angles(split.root_rotations[:, None])]
+        positions = split.pelvis
+        rotations = np.concatenate([split.pelvis_rotations[:, None], rotations[:, 1:]], axis=1)
+    columns += [positions * CENTIMETRES, _angles(rotations[:, depth_first(PELVIS)])]
+    offsets = np.concatenate([rest_pose(motion.rest_offsets)[:1], motion.rest_offsets[1:]])
+    lines = [*hierarchy_lines(offsets, names, root), f"Frames: {clip.frames}", f"Frame Time: {1.0 / clip.fps:.8f}"]
     # adding 0.0 turns -0.0 into 0.0
-    lines += [" ".join(f"{value:.6f}" for value in row) for row in np.round(rows, 6) + 0.0]
+    rows = np.round(np.concatenate(columns, axis=1), 6) + 0.0
+    lines += [" ".join(f"{value:.6f}" for value in row) for row in rows]
     return ("\n".join(lines) + "\n").encode("ascii")
 
 
@@ -75,32 +91,45 @@ def euler_zxy(matrices: Floats) -> Floats:
     return angles
 
 
-def _depth_first(joint: int) -> list[int]:
+def depth_first(joint: int) -> list[int]:
     """List the joints below and including `joint` in the order of a BVH file's hierarchy and channels."""
-    return [joint, *(below for child in CHILDREN[joint] for below in _depth_first(child))]
+    return [joint, *(below for child in CHILDREN[joint] for below in depth_first(child))]
 
 
-def _hierarchy_lines(joint: int, offsets: Floats, names: tuple[str, ...], indent: str) -> list[str]:
+def hierarchy_lines(offsets: Floats, names: str, root: bool) -> list[str]:
+    """Format a file's lines from HIERARCHY to MOTION.
+
+    Args:
+        offsets: (22, 3) metres from the parent at rest; that of the pelvis is its position.
+        names: a key of `skeleton.CONVENTIONS`.
+        root: whether a joint on the floor stands above the pelvis.
+    """
+    joints = _joint_lines(PELVIS, offsets, CONVENTIONS[names], "JOINT" if root else "ROOT", "\t" if root else "")
+    if root:
+        joints = [f"ROOT {ROOT_NAME}", "{", f"\tOFFSET {_vector(np.zeros(3))}", f"\t{_MOVING}", *joints, "}"]
+    return ["HIERARCHY", *joints, "MOTION"]
+
+
+def _joint_lines(joint: int, offsets: Floats, names: tuple[str, ...], key: str, indent: str) -> list[str]:
     """Format a joint and all joints below it as lines of the HIERARCHY section."""
     inner = indent + "\t"
-    name = names[joint]
-    rotations = "Zrotation Xrotation Yrotation"
-    if joint == PELVIS:
-        head, channels = f"ROOT {name}", f"CHANNELS 6 Xposition Yposition Zposition {rotations}"
-    else:
-        head, channels = f"JOINT {name}", f"CHANNELS 3 {rotations}"
     lines = [
-        f"{indent}{head}",
+        f"{indent}{key} {names[joint]}",
         f"{indent}{{",
         f"{inner}OFFSET {_vector(offsets[joint])}",
-        f"{inner}{channels}",
+        f"{inner}{_MOVING if joint == PELVIS else _TURNING}",
     ]
     for child in CHILDREN[joint]:
-        lines += _hierarchy_lines(child, offsets, names, inner)
+        lines += _joint_lines(child, offsets, names, "JOINT", inner)
     if not CHILDREN[joint]:
         end = np.array(END_SITES[JOINT_NAMES[joint]])
         lines += [f"{inner}End Site", f"{inner}{{", f"{inner}\tOFFSET {_vector(end)}", f"{inner}}}"]
     return [*lines, f"{indent}}}"]
+
+
+def _angles(rotations: Floats) -> Floats:
+    """Convert quaternions (frames, n, 4) to the channel values of n joints: (frames, 3 n) degrees."""
+    return np.degrees(euler_zxy(to_matrix(rotations))).reshape(len(rotations), -1)
 
 
 def _vector(metres: Floats) -> str:

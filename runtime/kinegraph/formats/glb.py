@@ -1,7 +1,8 @@
 """`.glb`: the clip as a skinned body, glTF 2.0 in one binary file (Khronos, glTF 2.0 specification).
 
-Metres, Y up, facing +Z as glTF requires; the rest pose is a T-pose. The file has one skin and one animation: a rotation
-track per joint and a translation track of the root, with a key at every frame.
+Metres, Y up, facing +Z as glTF requires; the rest pose is a T-pose that stands on the floor. The file has one skin and
+one animation: a rotation track per joint and a translation track of the pelvis, with a key at every frame. Nodes 0 to
+21 are the joints. With a root joint, that is node 22, and moves and turns too.
 """
 
 from __future__ import annotations
@@ -14,12 +15,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinegraph.formats.glb_mesh import body_mesh
-from kinegraph.motion.kinematics import CHILDREN, forward_kinematics, rotations_from_positions
-from kinegraph.motion.quaternions import IDENTITY
-from kinegraph.motion.skeleton import CONVENTIONS, DEFAULT_NAMES, JOINTS
+from kinegraph.motion.kinematics import (
+    CHILDREN,
+    SkeletonMotion,
+    rest_pose,
+    rotations_from_positions,
+    split_root,
+)
+from kinegraph.motion.skeleton import CONVENTIONS, DEFAULT_NAMES, JOINTS, PELVIS, ROOT_NAME
 
 if TYPE_CHECKING:
     from kinegraph.clip import Clip
+
+GENERATOR: Final = "kinegraph"
+ROOT_NODE: Final = JOINTS
+"""Node of the root joint, where there is one."""
 
 FLOAT, UNSIGNED_BYTE, UNSIGNED_SHORT = 5126, 5121, 5123
 ARRAY_BUFFER, ELEMENT_ARRAY_BUFFER = 34962, 34963
@@ -32,23 +42,28 @@ _MATERIAL: Final = {
 }
 
 
-def encode(clip: Clip, names: str = DEFAULT_NAMES) -> bytes:
-    """Encode a clip as GLB; `names` is a key of `skeleton.CONVENTIONS`."""
+def encode(clip: Clip, names: str = DEFAULT_NAMES, root: bool = False) -> bytes:
+    """Encode a clip as GLB.
+
+    Args:
+        clip: clip to encode.
+        names: a key of `skeleton.CONVENTIONS`.
+        root: add a joint on the floor that carries travel and heading (`kinematics.split_root`).
+    """
     motion = rotations_from_positions(clip.joints, clip.fps, loops=clip.loops)
-    unrotated = np.tile(np.array(IDENTITY), (1, JOINTS, 1))
-    rest = forward_kinematics(motion.rest_offsets, np.zeros((1, 3)), unrotated)[0]
+    rest = rest_pose(motion.rest_offsets)
     buffer = _Buffer()
-    mesh, skin = _mesh(buffer, rest), _skin(buffer, rest)
-    nodes = _nodes(motion.rest_offsets, rest, CONVENTIONS[names])
+    mesh, skin = _mesh(buffer, rest), _skin(buffer, rest, root)
+    nodes = _nodes(motion.rest_offsets, rest, CONVENTIONS[names], root)
     document = {
-        "asset": {"version": "2.0", "generator": "kinegraph", "extras": _provenance(clip)},
+        "asset": {"version": "2.0", "generator": GENERATOR, "extras": _provenance(clip)},
         "scene": 0,
-        "scenes": [{"nodes": [0, JOINTS], "name": "clip"}],
+        "scenes": [{"nodes": [skin["skeleton"], len(nodes)], "name": "clip"}],
         "nodes": [*nodes, {"name": "body", "mesh": 0, "skin": 0}],
         "meshes": [mesh],
         "materials": [_MATERIAL],
         "skins": [skin],
-        "animations": [_animation(buffer, clip, motion.root, motion.rotations)],
+        "animations": [_animation(buffer, clip, _tracks(motion, clip, root))],
         "accessors": buffer.accessors,
         "bufferViews": buffer.views,
         "buffers": [{"byteLength": len(buffer.data)}],
@@ -110,41 +125,56 @@ def _mesh(buffer: _Buffer, rest: NDArray[Any]) -> dict[str, Any]:
     return {"name": "body", "primitives": [{"attributes": attributes, "indices": indices, "material": 0}]}
 
 
-def _skin(buffer: _Buffer, rest: NDArray[Any]) -> dict[str, Any]:
+def _skin(buffer: _Buffer, rest: NDArray[Any], root: bool) -> dict[str, Any]:
     """Store the inverse bind matrices of joints (22, 3) at rest: translations by -rest, as nothing is rotated."""
-    # column-major, so the translation is in the last row
-    inverse = np.tile(np.eye(4, dtype=np.float32), (JOINTS, 1, 1))
-    inverse[:, 3, :3] = -rest
+    joints = [*range(JOINTS), *([ROOT_NODE] if root else [])]
+    # column-major, so the translation is in the last row; the root rests at the origin
+    inverse = np.tile(np.eye(4, dtype=np.float32), (len(joints), 1, 1))
+    inverse[:JOINTS, 3, :3] -= rest
     return {
         "name": "skeleton",
-        "skeleton": 0,
-        "joints": list(range(JOINTS)),
+        "skeleton": ROOT_NODE if root else PELVIS,
+        "joints": joints,
         "inverseBindMatrices": buffer.add(inverse),
     }
 
 
-def _nodes(offsets: NDArray[Any], rest: NDArray[Any], names: tuple[str, ...]) -> list[dict[str, Any]]:
-    """List the joints as nodes, in the rest pose and standing on the floor."""
+def _nodes(offsets: NDArray[Any], rest: NDArray[Any], names: tuple[str, ...], root: bool) -> list[dict[str, Any]]:
+    """List the joints as nodes, in the rest pose and standing on the floor; the root is the last."""
     nodes = []
     for joint in range(JOINTS):
-        node: dict[str, Any] = {"name": names[joint], "translation": [float(value) for value in offsets[joint]]}
+        at = rest[PELVIS] if joint == PELVIS else offsets[joint]
+        node: dict[str, Any] = {"name": names[joint], "translation": [float(value) for value in at]}
         if CHILDREN[joint]:
             node["children"] = list(CHILDREN[joint])
         nodes.append(node)
-    nodes[0]["translation"] = [0.0, float(-rest[:, 1].min()), 0.0]
-    return nodes
+    return [*nodes, {"name": ROOT_NAME, "children": [PELVIS]}] if root else nodes
 
 
-def _animation(buffer: _Buffer, clip: Clip, root: NDArray[Any], rotations: NDArray[Any]) -> dict[str, Any]:
-    """Store one track per joint rotation and one of the root translation, a key at every frame."""
+def _tracks(motion: SkeletonMotion, clip: Clip, root: bool) -> list[tuple[str, int, NDArray[Any]]]:
+    """List the tracks of a motion as path, node and values; quaternions are still w, x, y, z."""
+    rotations = [("rotation", joint, motion.rotations[:, joint]) for joint in range(JOINTS)]
+    if not root:
+        return [("translation", PELVIS, motion.root), *rotations]
+    split = split_root(motion, clip.joints)
+    return [
+        ("translation", ROOT_NODE, split.root),
+        ("rotation", ROOT_NODE, split.root_rotations),
+        ("translation", PELVIS, split.pelvis),
+        ("rotation", PELVIS, split.pelvis_rotations),
+        *rotations[1:],
+    ]
+
+
+def _animation(buffer: _Buffer, clip: Clip, tracks: list[tuple[str, int, NDArray[Any]]]) -> dict[str, Any]:
+    """Store the tracks, with a key at every frame."""
     times = buffer.add((np.arange(clip.frames) / clip.fps).astype(np.float32), bounds=True)
-    tracks = [("translation", 0, root)]
-    # glTF orders quaternions x, y, z, w
-    tracks += [("rotation", joint, rotations[:, joint, [1, 2, 3, 0]]) for joint in range(JOINTS)]
     samplers, channels = [], []
-    for path, joint, values in tracks:
+    for path, node, track in tracks:
+        # glTF orders quaternions x, y, z, w
+        values = track[:, [1, 2, 3, 0]] if path == "rotation" else track
         samplers.append({"input": times, "output": buffer.add(values.astype(np.float32)), "interpolation": "LINEAR"})
-        channels.append({"sampler": len(samplers) - 1, "target": {"node": joint, "path": path}})
+        channels.append({"sampler": len(samplers) - 1, "target": {"node": node, "path": path}})
     return {"name": clip.text[:64] or "clip", "samplers": samplers, "channels": channels}
 
 

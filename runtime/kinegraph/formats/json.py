@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from kinegraph.errors import InvalidInputError
 from kinegraph.motion.kinematics import rotations_from_positions
 from kinegraph.motion.skeleton import JOINT_NAMES, PARENTS
 
@@ -42,6 +43,41 @@ def encode(clip: Clip) -> bytes:
         "rotations": _rounded(motion.rotations),
     }
     return json.dumps(document, ensure_ascii=False, separators=(",", ":")).encode()
+
+
+def decode(data: bytes) -> dict[str, Any]:
+    """Decode a file into the fields of its clip; the skeleton is solved again from the joints.
+
+    Raises:
+        InvalidInputError: not a JSON file that `encode` could have written.
+    """
+    # lists that hold next to nothing would take twenty times the memory of their text
+    if data.count(b"[") + data.count(b"{") > len(data) / 10 + 100_000:
+        raise InvalidInputError("it holds more lists than numbers")
+    try:
+        document = json.loads(data)
+        if tuple(document["joint_names"]) != JOINT_NAMES:
+            raise InvalidInputError(f"it has other joints; kinegraph reads {', '.join(JOINT_NAMES)}")
+        joints = np.array(document["joints"], dtype=np.float64)
+        fields = {name: document[name] for name in ("text", "bundle", "fps")}
+        return {"joints": joints, "seed": parse_seed(document["seed"]), **fields}
+    except KeyError as error:
+        raise InvalidInputError(f"it has no {error}") from error
+    except InvalidInputError:
+        raise
+    except (ValueError, TypeError, OverflowError, RecursionError) as error:
+        raise InvalidInputError(str(error)[:200]) from error
+
+
+def parse_seed(text: object) -> int:
+    """Convert a seed from the string that files store it as.
+
+    Raises:
+        InvalidInputError: not a string of digits.
+    """
+    if not isinstance(text, str) or not (text.isascii() and text.isdigit() and len(text) < 20):
+        raise InvalidInputError("its seed is no whole number in quotes")
+    return int(text)
 
 
 def _rounded(values: NDArray[Any]) -> Any:

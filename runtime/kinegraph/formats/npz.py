@@ -1,4 +1,4 @@
-"""`.npz`: the clip as NumPy arrays, without pickle; the format that `read_npz` reads back.
+"""`.npz`: the clip as NumPy arrays, without pickle; the format that keeps everything.
 
 Holds `joints` (frames, 22, 3) float32 metres, `fps`, `seed`, `text`, `joint_names`, `bundle`, and `graph`, the JSON of
 the semantic graph where the clip has one.
@@ -7,16 +7,16 @@ the semantic graph where the clip has one.
 from __future__ import annotations
 
 import io
+import math
 import os
 import zipfile
 import zlib
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from kinegraph.errors import InvalidGraphError, InvalidInputError
+from kinegraph.errors import InvalidInputError
 from kinegraph.graph import SemanticGraph
 from kinegraph.motion.skeleton import JOINT_NAMES
 
@@ -32,6 +32,9 @@ _UNREADABLE: Final = (
     *(NotImplementedError, RuntimeError, zlib.error, zipfile.BadZipFile),
 )
 """Exceptions of NumPy and zipfile for files that are no archive, cut short, encrypted or pickled."""
+
+MAX_ARRAY_BYTES: Final = 1 << 27
+"""Size of one array that is read, unpacked."""
 
 _NAMES: Final = ("joints", "fps", "seed", "text", "joint_names", "bundle")
 _GRAPH: Final = "graph"
@@ -63,7 +66,7 @@ def encode(clip: Clip) -> bytes:
 
 
 def read_npz(path: str | os.PathLike[str]) -> Clip:
-    """Read a clip that was saved as `.npz`.
+    """Read a clip that was saved as `.npz`, whatever the file is called; see `formats.read`.
 
     Args:
         path: file to read.
@@ -71,27 +74,55 @@ def read_npz(path: str | os.PathLike[str]) -> Clip:
     Raises:
         InvalidInputError: no such file, or not a clip.
     """
-    from kinegraph.clip import Clip
+    from kinegraph.formats import read
 
+    return read(path, suffix=".npz")
+
+
+def decode(data: bytes) -> dict[str, Any]:
+    """Decode a file into the fields of its clip.
+
+    Raises:
+        InvalidInputError: not an NPZ file that `encode` could have written.
+    """
     try:
-        with np.load(Path(path), allow_pickle=False) as archive:
-            fields = {name: archive[name] for name in (*_NAMES, *({_GRAPH} & {*archive.files}))}
-    except FileNotFoundError as error:
-        raise InvalidInputError(f"there is no file {str(path)!r}; name a clip saved as .npz") from error
-    except _UNREADABLE as error:
-        raise InvalidInputError(f"{str(path)!r} is no clip that kinegraph saved ({error})") from error
-    if tuple(fields["joint_names"].ravel().tolist()) != JOINT_NAMES:
-        raise InvalidInputError(f"{str(path)!r} has other joints; kinegraph reads {', '.join(JOINT_NAMES)}")
-    scalars = {name: fields[name] for name in ("fps", "seed", "text", "bundle", _GRAPH) if name in fields}
-    not_scalar = [name for name, value in scalars.items() if value.shape != ()]
-    if not_scalar:
-        raise InvalidInputError(f"{', '.join(not_scalar)} of {str(path)!r} must be a single value each")
-    values = {name: value.item() for name, value in scalars.items()}
-    try:
+        with zipfile.ZipFile(io.BytesIO(data)) as archive:
+            stored = {*archive.namelist()}
+            names = (*_NAMES, *([_GRAPH] if f"{_GRAPH}.npy" in stored else []))
+            fields = {name: _read_array(archive, name) for name in names}
+        if tuple(fields.pop("joint_names").ravel().tolist()) != JOINT_NAMES:
+            raise InvalidInputError(f"it has other joints; kinegraph reads {', '.join(JOINT_NAMES)}")
+        joints = fields.pop("joints")
+        not_scalar = [name for name, value in fields.items() if value.shape != ()]
+        if not_scalar:
+            raise InvalidInputError(f"{', '.join(not_scalar)} must be a single value each")
+        values = {name: value.item() for name, value in fields.items()}
         graph = SemanticGraph.from_json(values.pop(_GRAPH)) if _GRAPH in values else None
-    except (InvalidGraphError, TypeError) as error:  # TypeError: not a string
-        raise InvalidInputError(f"{str(path)!r}: {error}") from error
-    return Clip(joints=fields["joints"], graph=graph, **values)
+    except InvalidInputError:
+        raise
+    except _UNREADABLE as error:
+        raise InvalidInputError(str(error)) from error
+    return {"joints": joints, "graph": graph, **values}
+
+
+def _read_array(archive: zipfile.ZipFile, name: str) -> NDArray[Any]:
+    """Read one array; nothing is allocated that the file does not really hold.
+
+    Raises:
+        ValueError: objects, or another size than the header says.
+        Others of `_UNREADABLE`: no such entry, damaged, or not in the `.npy` format.
+    """
+    entry = archive.getinfo(f"{name}.npy")
+    if entry.file_size > MAX_ARRAY_BYTES:
+        raise ValueError(f"{name} has {entry.file_size} bytes; at most {MAX_ARRAY_BYTES} are read")
+    content = io.BytesIO(archive.read(entry))
+    version = np.lib.format.read_magic(content)
+    if version != (1, 0):
+        raise ValueError(f"{name} is stored in version {version} of the format; kinegraph writes (1, 0)")
+    shape, by_columns, dtype = np.lib.format.read_array_header_1_0(content)
+    if dtype.hasobject or math.prod(shape) * dtype.itemsize != len(content.getbuffer()) - content.tell():
+        raise ValueError(f"{name} does not hold the numbers that its header announces")
+    return np.ndarray(shape, dtype, content.read(), order="F" if by_columns else "C")
 
 
 def _npy(array: NDArray[Any]) -> bytes:

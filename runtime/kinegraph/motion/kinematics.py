@@ -25,6 +25,7 @@ from numpy.typing import NDArray
 from kinegraph.arrays import Floats
 from kinegraph.motion.quaternions import (
     IDENTITY,
+    about_axis,
     conjugate,
     continuous_signs,
     from_matrix,
@@ -33,7 +34,16 @@ from kinegraph.motion.quaternions import (
     rotate,
     shortest_rotation,
 )
-from kinegraph.motion.skeleton import JOINT_INDEX, JOINT_NAMES, JOINTS, PARENTS, PELVIS, bone_lengths
+from kinegraph.motion.skeleton import (
+    HORIZONTAL,
+    JOINT_INDEX,
+    JOINT_NAMES,
+    JOINTS,
+    PARENTS,
+    PELVIS,
+    bone_lengths,
+    facing_angle,
+)
 
 CHILDREN: Final[tuple[tuple[int, ...], ...]] = tuple(
     tuple(child for child, parent in enumerate(PARENTS) if parent == joint) for joint in range(JOINTS)
@@ -149,6 +159,62 @@ def rotations_from_positions(joints: Floats, fps: float, *, loops: bool = False)
         world[:, joint] = multiply(parent_world, local[:, joint])
     error = np.linalg.norm(solved - target, axis=-1)
     return SkeletonMotion(offsets, root, continuous_signs(local), error)
+
+
+@dataclass(frozen=True)
+class RootMotion:
+    """A motion whose pelvis hangs on a root joint; the root is on the floor, carries travel and heading."""
+
+    root: Floats
+    """(frames, 3) metres: the point of the floor below the pelvis."""
+
+    root_rotations: Floats
+    """(frames, 4) quaternions w, x, y, z about +Y: the heading (`skeleton.facing_angle`)."""
+
+    pelvis: Floats
+    """(frames, 3) metres: position of the pelvis relative to the root."""
+
+    pelvis_rotations: Floats
+    """(frames, 4) quaternions relative to the root; signs are continuous over frames."""
+
+
+def split_root(motion: SkeletonMotion, joints: Floats) -> RootMotion:
+    """Split the motion of the pelvis into that of a root joint on the floor and the rest.
+
+    Root motion in engines: a character moves with the root, and the animation plays relative to it. Travel and heading
+    are those of the clip, not of its solution, so the root of a clip in place does not move at all.
+
+    Args:
+        motion: solution of the clip.
+        joints: (frames, 22, 3) metres, the clip.
+    """
+    root = np.asarray(joints[:, PELVIS], dtype=np.float64) * HORIZONTAL
+    turned = about_axis(1, facing_angle(joints).astype(np.float64))
+    back = conjugate(turned)
+    pelvis = rotate(back, motion.root - root)
+    return RootMotion(root, turned, pelvis, continuous_signs(multiply(back, motion.rotations[:, PELVIS])))
+
+
+def join_root(split: RootMotion) -> tuple[Floats, Floats]:
+    """Undo `split_root`: positions (frames, 3) metres and rotations (frames, 4) of the pelvis in the world."""
+    pelvis = split.root + rotate(split.root_rotations, split.pelvis)
+    return pelvis, multiply(split.root_rotations, split.pelvis_rotations)
+
+
+def rest_pose(offsets: Floats) -> Floats:
+    """Place the joints of the T-pose: feet on the floor, pelvis above the origin.
+
+    Args:
+        offsets: (22, 3) metres, each joint from its parent at rest.
+
+    Returns:
+        (22, 3) metres; the lowest joint is at y = 0.
+    """
+    joints = np.zeros((JOINTS, 3))
+    for joint in range(1, JOINTS):
+        joints[joint] = joints[PARENTS[joint]] + offsets[joint]
+    joints[:, 1] -= joints[:, 1].min()
+    return joints
 
 
 def forward_kinematics(offsets: Floats, root: Floats, rotations: Floats) -> Floats:

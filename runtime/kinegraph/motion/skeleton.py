@@ -71,6 +71,8 @@ CONVENTIONS: Final[dict[str, tuple[str, ...]]] = {
     "mixamo": tuple(f"mixamorig:{name}" for name in _MIXAMO),
 }
 """Naming convention -> joint names, in the order of `JOINT_NAMES`; for files of animation programs."""
+ROOT_NAME: Final = "root"
+"""Name of the joint on the floor that files can have above the pelvis, in every convention: that of Unreal's."""
 
 
 def facing_angle(joints: FloatArray) -> FloatArray:
