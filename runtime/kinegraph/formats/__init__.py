@@ -1,6 +1,6 @@
 """File formats a clip can be saved in and read from, by suffix.
 
-Formats know clips, not the other way round: no module here imports `kinegraph.clip` when it is loaded.
+Clips import formats, not the other way round: no module here imports `kinegraph.clip`; `read` loads it by name.
 """
 
 from __future__ import annotations
@@ -91,9 +91,6 @@ def read(path: str | os.PathLike[str], *, suffix: str | None = None) -> Clip:
     Raises:
         InvalidInputError: no such file, another format, or not a file that kinegraph wrote.
     """
-    # imported here because formats know clips, not the other way round
-    from kinegraph.clip import Clip
-
     name, file = repr(str(path)), Path(path)
     suffix = file.suffix.lower() if suffix is None else suffix
     if suffix not in READERS:
@@ -104,7 +101,9 @@ def read(path: str | os.PathLike[str], *, suffix: str | None = None) -> Clip:
         fields: dict[str, Any] = _function(READERS[suffix])(data)
         if "text" not in fields:
             fields |= {"text": file.stem.encode("utf-8", "replace").decode(), "seed": 0, "bundle": "unknown"}
-        return Clip(**fields)
+        # by name, like the readers: clips import formats, and formats no clips
+        clip: Clip = _function("kinegraph.clip:Clip")(**fields)
+        return clip
     except InvalidInputError as error:
         raise InvalidInputError(f"{name} is no clip that kinegraph saved as {suffix}: {error}") from error
 
