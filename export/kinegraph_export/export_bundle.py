@@ -121,16 +121,7 @@ def build_manifest(
     parity: dict[str, float],
     precision: Precision,
 ) -> Manifest:
-    """Build the manifest, complete but for the parity of the whole pipeline.
-
-    Args:
-        card: what a person wrote.
-        trained: the models.
-        specific: the specific autoencoder with the statistics of its features.
-        files: contents of all files but the manifest, by name.
-        parity: differences that `export_graphs` measured.
-        precision: of the denoisers.
-    """
+    """Build the manifest from the contents of all other `files`, complete but for the parity of the whole pipeline."""
     config = trained.hierarchy.config
     graphs = {name: data for name, data in files.items() if name.endswith(".onnx")}
     operators = {name: summarise(data, name).operators for name, data in sorted(graphs.items())}
@@ -143,7 +134,7 @@ def build_manifest(
             "training_data": card.training_data,
             "text_encoder": f"sentence-transformers/all-MiniLM-L6-v2 from {MINILM}",
             "parser": f"en_core_web_sm from {SPACY_MODEL}",
-            "arguments": read_provenance(files["options.npz"]) if "options.npz" in files else "by rules alone",
+            "arguments": read_provenance(files["arguments.npz"]) if "arguments.npz" in files else "by rules alone",
             "numbers": describe_precision(operators, precision),
             "built_with": f"kinegraph {kinegraph.__version__}, torch {torch.__version__}, "
             f"onnxruntime {onnxruntime.__version__}, Python {platform.python_version()}",
@@ -184,7 +175,8 @@ def describe_precision(operators: dict[str, tuple[str, ...]], precision: Precisi
         "fp32": f"all networks: {halves}",
         "int8": "denoisers: int8, activations with one scale per tensor and run (with adaptive gradient descent, what "
         "reads and moves the context computes in float32); "
-        f"{present(INT8_WEIGHT_GRAPHS)}: float32 arithmetic on weights stored as int8; {present(FLOAT32_GRAPHS)}: {halves}",
+        f"{present(INT8_WEIGHT_GRAPHS)}: float32 arithmetic on weights stored as int8; "
+        f"{present(FLOAT32_GRAPHS)}: {halves}",
     }[precision]
     return f"{networks}; text encoder: " + ("weights in int8 blocks" if in_blocks else "float32 throughout")
 

@@ -1,4 +1,4 @@
-"""A trained evaluator as two ONNX graphs and a card, so that measuring needs no torch and stays comparable.
+"""Export a trained evaluator as two ONNX graphs and a card, so that measuring needs no torch and stays comparable.
 
 python -m kinegraph_export.export_evaluator --run runs/evaluator --version 1 --out benchmarks/evaluator
 """
@@ -17,16 +17,20 @@ import torch
 from torch import nn
 
 from kinegraph.errors import InvalidInputError
-from kinegraph_export.onnx_export import round_weights, serialised, store_float16, to_onnx
+from kinegraph_export.onnx_export import round_weights, serialise, store_float16, to_onnx
 from kinegraph_export.parity import ParityError
 from kinegraph_training.models.evaluator import EvaluatorConfig, MotionEncoder, TextEncoder
 
 TOLERANCE = 1e-4
+"""Largest difference between an exported encoder and its module."""
 LICENCE = "CC BY-NC 4.0 (non-commercial): trained on the Bandai-Namco-Research Motiondataset, CC BY-NC 4.0"
 
 
 def read_evaluator(run: Path) -> tuple[MotionEncoder, TextEncoder, np.ndarray, np.ndarray]:
-    """Averaged weights of a checkpoint of train_evaluator, and the normalisation of motion.
+    """Load the averaged weights of a run of train_evaluator.
+
+    Returns:
+        Motion encoder, text encoder, and mean and standard deviation (features,) of motion features.
 
     Raises:
         InvalidInputError: it has not been trained.
@@ -44,16 +48,21 @@ def read_evaluator(run: Path) -> tuple[MotionEncoder, TextEncoder, np.ndarray, n
 
 
 def export_encoder(module: nn.Module, width: int, group: int) -> bytes:
-    """One encoder with inputs "tokens" (b, s, width) and "mask" (b, s), output "embedding" (b, e).
+    """Export one encoder with inputs "tokens" (b, s, width) and "mask" (b, s), and output "embedding" (b, e).
+
+    Args:
+        module: takes tokens and mask.
+        width: of a token.
+        group: frames per token, which s is a multiple of.
 
     Raises:
-        ParityError: at one of six shapes it is not the module.
+        ParityError: at one of six shapes it differs from the module.
     """
     free = {0: torch.export.Dim.DYNAMIC, 1: torch.export.Dim.DYNAMIC}
     if group > 1:
         free[1] = group * torch.export.Dim("groups", min=1, max=512)  # type: ignore[assignment]
     example = (torch.zeros(2, 6 * group, width), torch.ones(2, 6 * group))
-    data = serialised(store_float16(to_onnx(module, example, ["tokens", "mask"], ["embedding"], (free, free))))
+    data = serialise(store_float16(to_onnx(module, example, ["tokens", "mask"], ["embedding"], (free, free))))
     session = onnxruntime.InferenceSession(data, providers=["CPUExecutionProvider"])
     rng = np.random.default_rng(0)
     for _ in range(6):
@@ -69,7 +78,7 @@ def export_encoder(module: nn.Module, width: int, group: int) -> bytes:
 
 
 def export_evaluator(run: Path, version: str, out: Path) -> None:
-    """Write motion.onnx, text.onnx and evaluator.json."""
+    """Export a run as motion.onnx, text.onnx and evaluator.json in the folder `out`."""
     motion, text, mean, std = read_evaluator(run)
     files = {
         "motion.onnx": export_encoder(motion, len(mean), motion.group),
@@ -94,15 +103,15 @@ def export_evaluator(run: Path, version: str, out: Path) -> None:
 
 
 def main(argv: list[str] | None = None) -> None:
-    """Command line."""
+    """Run the command line."""
     parser = argparse.ArgumentParser(prog="kinegraph_export.export_evaluator", description=__doc__.split("\n")[0])
-    parser.add_argument("--run", type=Path, required=True)
-    parser.add_argument("--version", required=True)
-    parser.add_argument("--out", type=Path, required=True)
-    arguments = parser.parse_args(argv)
-    export_evaluator(arguments.run, arguments.version, arguments.out)
-    size = sum(path.stat().st_size for path in arguments.out.iterdir())
-    print(f"evaluator {arguments.version}: {size / 1e6:.1f} MB in {arguments.out}")
+    parser.add_argument("--run", type=Path, required=True, help="folder of the training run")
+    parser.add_argument("--version", required=True, help="of the evaluator: scores compare within one version only")
+    parser.add_argument("--out", type=Path, required=True, help="folder to write")
+    options = parser.parse_args(argv)
+    export_evaluator(options.run, options.version, options.out)
+    size = sum(path.stat().st_size for path in options.out.iterdir())
+    print(f"evaluator {options.version}: {size / 1e6:.1f} MB in {options.out}")
 
 
 if __name__ == "__main__":

@@ -1,7 +1,7 @@
-"""onnxruntime's fused operators, emitted on purpose: its optimiser does not find attention in these graphs.
+"""Replace modules by onnxruntime's fused operators, because its optimiser does not find attention in these graphs.
 
-A module here takes the place of the trained one that it is made from and emits the same function in one node. In torch
-it returns zeros of the right shape, so exported graphs are compared with the trained module.
+Each module here replaces a trained one in a copy for export, and emits the same function as one node. In torch it
+returns zeros of the right shape, so exported graphs are compared with the trained module.
 """
 
 from __future__ import annotations
@@ -20,60 +20,74 @@ from kinegraph_training.models.transformer import SelfAttention
 MICROSOFT = "com.microsoft"
 
 
-def emitted(operator: str, inputs: list[Tensor | None], like: Tensor, version: int, **attributes: Any) -> Tensor:
-    """One node whose output has the shape and type of `like`."""
+def emit_node(operator: str, inputs: list[Tensor | None], like: Tensor, version: int, **attributes: Any) -> Tensor:
+    """Emit one ONNX node whose output has the shape and type of `like`.
+
+    Args:
+        operator: `domain::OpType`, or an operator of ONNX itself.
+        inputs: of the node; None for optional ones that are left out.
+        like: a tensor of the output's shape and type.
+        version: of the operator's domain.
+        attributes: of the node.
+    """
     return symbolic(operator, inputs, attributes, dtype=like.dtype, shape=like.shape, version=version)
 
 
 class FusedSelfAttention(nn.Module):
-    """`Attention`, which quantises to QAttention; with a bias `MultiHeadAttention`, because QAttention takes none."""
+    """Self-attention as `Attention`, which quantises to QAttention.
+
+    With a bias it is `MultiHeadAttention`, because QAttention takes none.
+    """
 
     def __init__(self, trained: SelfAttention) -> None:
         super().__init__()
         self.heads, self.qkv, self.out = trained.heads, trained.qkv, trained.out
 
     def forward(self, x: Tensor, bias: Tensor | None) -> Tensor:
-        """As `SelfAttention`."""
+        """Emit `SelfAttention.forward`: x (r, c, d), bias (r, 1, 1, c) or None -> (r, c, d)."""
         if bias is None:
             weights: list[Tensor | None] = [x, self.qkv.weight.t().contiguous(), self.qkv.bias]
-            return self.out(emitted(f"{MICROSOFT}::Attention", weights, x, 1, num_heads=self.heads))
+            return self.out(emit_node(f"{MICROSOFT}::Attention", weights, x, 1, num_heads=self.heads))
         query, key, value = self.qkv(x).chunk(3, dim=-1)
         full = bias.expand(-1, -1, x.shape[1], -1)
         inputs: list[Tensor | None] = [query, key, value, None, None, full]
-        return self.out(emitted(f"{MICROSOFT}::MultiHeadAttention", inputs, x, 1, num_heads=self.heads))
+        return self.out(emit_node(f"{MICROSOFT}::MultiHeadAttention", inputs, x, 1, num_heads=self.heads))
 
 
 class FusedCrossAttention(nn.Module):
-    """`MultiHeadAttention` over cached keys and values; rows are mixed before the output projection, as trained."""
+    """Cross-attention as `MultiHeadAttention` over cached keys and values.
+
+    Rows are mixed before the output projection, as in the trained module.
+    """
 
     def __init__(self, trained: CrossAttention) -> None:
         super().__init__()
         self.heads, self.query, self.out = trained.heads, trained.query, trained.out
 
     def forward(self, x: Tensor, key: Tensor, value: Tensor, bias: Tensor, mixing: RowMixing) -> Tensor:
-        """As `CrossAttention`."""
+        """Emit `CrossAttention.forward`."""
         tokens, width = x.shape[1:]
         rows = x.new_empty(key.shape[0], tokens, width)
-        query = emitted("Gather", [self.query(x), mixing.src], rows, 13, axis=0)
+        query = emit_node("Gather", [self.query(x), mixing.src], rows, 13, axis=0)
         inputs: list[Tensor | None] = [query, key, value, None, None, bias]
-        attended = emitted(f"{MICROSOFT}::MultiHeadAttention", inputs, rows, 1, num_heads=self.heads)
+        attended = emit_node(f"{MICROSOFT}::MultiHeadAttention", inputs, rows, 1, num_heads=self.heads)
         mixed = mixing.combine @ attended.reshape(-1, tokens * width)
         return self.out(mixed.reshape(-1, tokens, width))
 
 
 class FusedNorm(nn.Module):
-    """`LayerNormalization`, whose scale and shift may differ from row to row."""
+    """Adaptive LayerNorm as `LayerNormalization`, whose scale and shift may differ from row to row."""
 
     def __init__(self, trained: AdaptiveNorm) -> None:
         super().__init__()
         self.epsilon = trained.eps
 
     def forward(self, x: Tensor, scale: Tensor, shift: Tensor) -> Tensor:
-        """As `AdaptiveNorm`."""
-        return emitted("LayerNormalization", [x, scale, shift], x, 17, axis=-1, epsilon=self.epsilon)
+        """Emit `AdaptiveNorm.forward`."""
+        return emit_node("LayerNormalization", [x, scale, shift], x, 17, axis=-1, epsilon=self.epsilon)
 
 
-FUSED: dict[type[nn.Module], Callable[[Any], nn.Module]] = {
+FUSED_MODULES: dict[type[nn.Module], Callable[[Any], nn.Module]] = {
     SelfAttention: FusedSelfAttention,
     CrossAttention: FusedCrossAttention,
     AdaptiveNorm: FusedNorm,
@@ -81,11 +95,11 @@ FUSED: dict[type[nn.Module], Callable[[Any], nn.Module]] = {
 
 
 @torch.no_grad()
-def fused(module: nn.Module) -> nn.Module:
-    """A copy for export."""
-    found = copy.deepcopy(module)
-    for parent in list(found.modules()):
+def fuse_operators(module: nn.Module) -> nn.Module:
+    """Copy a module for export, with fused operators in place of those that `FUSED_MODULES` names."""
+    fused = copy.deepcopy(module)
+    for parent in list(fused.modules()):
         for name, child in list(parent.named_children()):
-            if type(child) in FUSED:
-                setattr(parent, name, FUSED[type(child)](child))
-    return found.eval()
+            if type(child) in FUSED_MODULES:
+                setattr(parent, name, FUSED_MODULES[type(child)](child))
+    return fused.eval()

@@ -1,4 +1,4 @@
-"""Every trained graph of a bundle as ONNX, validated against its module."""
+"""Export every trained graph of a bundle to ONNX, and validate it against its module."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from kinegraph.bundle.contract import (
     contracts,
 )
 from kinegraph.errors import InvalidInputError
-from kinegraph_export.fused import fused
+from kinegraph_export.fused import fuse_operators
 from kinegraph_export.modules import (
     AgdContextGraph,
     AgdDenoiserGraph,
@@ -35,50 +35,54 @@ from kinegraph_export.modules import (
     MotionAgdContextGraph,
     MotionContextGraph,
 )
-from kinegraph_export.onnx_export import int8_weights, serialised, store_float16, strip_metadata, to_onnx
-from kinegraph_export.parity import Draw, max_difference, module_arguments, relative_error
-from kinegraph_export.quantise import dynamic_int8, optimised
+from kinegraph_export.onnx_export import serialise, store_float16, store_int8, strip_metadata, to_onnx
+from kinegraph_export.parity import InputGenerator, max_difference, module_arguments, relative_error
+from kinegraph_export.quantise import optimise_graph, quantise_dynamic
 from kinegraph_training.models.agd import AgdNoisePredictor
 from kinegraph_training.models.hierarchy import Hierarchy
 from kinegraph_training.models.vae import MotionVae
 
 Precision = Literal["fp32", "int8"]
 
-KEPT_IN_FLOAT = ("graph_encoder", "decoder", *AGD_CONTEXTS.values())
-"""Graphs whose numbers stay float32 in an int8 bundle."""
-STORED_INT8 = tuple(COARSE_DECODERS.values())
-"""Graphs that an int8 bundle stores as int8 and computes in float32."""
+FLOAT32_GRAPHS = ("graph_encoder", "decoder", *AGD_CONTEXTS.values())
+"""Graphs that compute in float32 on float16 weights in an int8 bundle too."""
+INT8_WEIGHT_GRAPHS = tuple(COARSE_DECODERS.values())
+"""Graphs that compute in float32 on int8 weights in an int8 bundle."""
 
 
 @dataclass(frozen=True)
 class CoarseDecoder:
-    """The autoencoder of a coarser level, in the terms of the specific level's features."""
+    """Autoencoder of a coarser level, with the map from its features to those of the specific level."""
 
     vae: MotionVae
     centre: torch.Tensor
     scale: torch.Tensor
-    """(c, z) standardisation of the level's latent."""
+    """(c, z) mean and standard deviation of the level's latent."""
     gain: torch.Tensor
     shift: torch.Tensor
-    """(features,) `decoded * gain + shift` is normalised as the specific level's features are."""
+    """(features,): `decoded * gain + shift` is normalised as the specific level's features are."""
 
 
 @dataclass(frozen=True)
-class Trained:
-    """Everything that was trained, in evaluation mode, weights rounded to what the bundle stores."""
+class TrainedModels:
+    """All trained models of a run, in evaluation mode, with weights rounded to what the bundle stores."""
 
     hierarchy: Hierarchy
     vae: MotionVae
-    """Of the specific level."""
+    """Autoencoder of the specific level."""
     centre: torch.Tensor
     scale: torch.Tensor
-    """(c, z) standardisation of the specific level's latent."""
+    """(c, z) mean and standard deviation of the specific level's latent."""
     coarse: Mapping[str, CoarseDecoder] = field(default_factory=dict)
-    """By level, as far as the run tells how their latents were standardised."""
+    """By level, for the levels whose latent statistics the run has."""
 
 
-def check_exportable(trained: Trained) -> None:
-    """Raises InvalidInputError for a model that is for comparison only."""
+def check_exportable(trained: TrainedModels) -> None:
+    """Check that a model can be exported.
+
+    Raises:
+        InvalidInputError: it is for comparison only.
+    """
     config = trained.hierarchy.config
     if (config.kind, config.condition, config.reasoning, config.levels) != ("cross", "graph", True, LEVELS):
         raise InvalidInputError(
@@ -87,8 +91,8 @@ def check_exportable(trained: Trained) -> None:
         )
 
 
-def level_specs(trained: Trained) -> dict[str, LevelSpec]:
-    """The manifest's levels."""
+def level_specs(trained: TrainedModels) -> dict[str, LevelSpec]:
+    """Describe the levels as the manifest does."""
     config = trained.hierarchy.config
     return {
         level: LevelSpec(
@@ -103,8 +107,8 @@ def level_specs(trained: Trained) -> dict[str, LevelSpec]:
     }
 
 
-def graph_modules(trained: Trained) -> dict[str, nn.Module]:
-    """Module of every trained graph by the graph's name."""
+def graph_modules(trained: TrainedModels) -> dict[str, nn.Module]:
+    """Wrap the trained modules as graphs, by the graph's name."""
     modules: dict[str, nn.Module] = {"graph_encoder": trained.hierarchy.graph_encoder}
     for level in LEVELS:
         denoiser = trained.hierarchy.levels[level]
@@ -115,14 +119,21 @@ def graph_modules(trained: Trained) -> dict[str, nn.Module]:
         modules[AGD_CONTEXTS[level]] = (MotionAgdContextGraph if top else AgdContextGraph)(denoiser.context)
         modules[AGD_DENOISERS[level]] = AgdDenoiserGraph(AgdNoisePredictor(denoiser))
     modules["decoder"] = DecoderGraph(trained.vae, trained.centre, trained.scale)
-    for level, own in trained.coarse.items():
-        modules[COARSE_DECODERS[level]] = CoarseDecoderGraph(own.vae, own.centre, own.scale, own.gain, own.shift)
+    for level, coarse in trained.coarse.items():
+        modules[COARSE_DECODERS[level]] = CoarseDecoderGraph(
+            coarse.vae, coarse.centre, coarse.scale, coarse.gain, coarse.shift
+        )
     return {name: module.eval() for name, module in modules.items()}
 
 
-def drawn_inputs(contract: GraphContract, frames_per_token: int, *, distinct: bool = False) -> Draw:
-    """Random inputs of a contract, with new sizes at every call; ids and masks are meaningful ones. `distinct`: every
-    row has its own modulation, for tracing takes a size of 1 for a constant."""
+def random_inputs(contract: GraphContract, frames_per_token: int, *, distinct: bool = False) -> InputGenerator:
+    """Make a generator of random inputs of a contract, with new sizes at every call and meaningful ids and masks.
+
+    Args:
+        contract: names, axes and types.
+        frames_per_token: which the number of frames is a multiple of.
+        distinct: give every row its own modulation, because tracing takes a size of 1 for a constant.
+    """
 
     def draw(rng: np.random.Generator) -> dict[str, np.ndarray]:
         free = sorted({axis for spec in contract.inputs for axis in spec.axes if isinstance(axis, str)})
@@ -134,13 +145,14 @@ def drawn_inputs(contract: GraphContract, frames_per_token: int, *, distinct: bo
         feeds = {}
         for spec in contract.inputs:
             shape = tuple(size[axis] if isinstance(axis, str) else axis for axis in spec.axes)
-            feeds[spec.name] = _values(spec.name, shape, size, rng)
+            feeds[spec.name] = _random_values(spec.name, shape, size, rng)
         return feeds
 
     return draw
 
 
-def _values(name: str, shape: tuple[int, ...], size: dict[str, int], rng: np.random.Generator) -> np.ndarray:
+def _random_values(name: str, shape: tuple[int, ...], size: dict[str, int], rng: np.random.Generator) -> np.ndarray:
+    """Draw meaningful values of one input: ids in range, masks with a tail of zeros, biases that hide some nodes."""
     if name == "relation":
         relation = rng.integers(-1, 12, shape)
         relation[:, np.arange(shape[1]), np.arange(shape[1])] = 11
@@ -167,11 +179,11 @@ def _values(name: str, shape: tuple[int, ...], size: dict[str, int], rng: np.ran
     return rng.standard_normal(shape).astype(np.float32)
 
 
-def traced(module: nn.Module, contract: GraphContract, frames_per_token: int) -> onnx.ModelProto:
-    """A module as ONNX with fused operators."""
-    sample = drawn_inputs(contract, frames_per_token, distinct=True)(np.random.Generator(np.random.PCG64(1)))
+def trace_to_onnx(module: nn.Module, contract: GraphContract, frames_per_token: int) -> onnx.ModelProto:
+    """Trace a module to ONNX with fused operators."""
+    sample = random_inputs(contract, frames_per_token, distinct=True)(np.random.Generator(np.random.PCG64(1)))
     return to_onnx(
-        fused(module),
+        fuse_operators(module),
         tuple(module_arguments(contract, sample)),
         [spec.name for spec in contract.inputs],
         [spec.name for spec in contract.outputs],
@@ -182,35 +194,45 @@ def traced(module: nn.Module, contract: GraphContract, frames_per_token: int) ->
 def export_graph(
     module: nn.Module, contract: GraphContract, frames_per_token: int, precision: Precision
 ) -> tuple[bytes, dict[str, float]]:
-    """One graph as ONNX bytes, and how far it is from its module: by the graph's name the largest difference in
-    float32, and by `int8_{name}` the relative error where the file holds int8.
+    """Export one graph, and measure how far it is from its module.
+
+    Args:
+        module: with the inputs and outputs of the contract.
+        contract: of the graph.
+        frames_per_token: which the number of frames is a multiple of.
+        precision: of the bundle.
+
+    Returns:
+        ONNX bytes, and differences: by the graph's name the largest one in float32, and by `int8_{name}` the relative
+        error where the file holds int8.
 
     Raises:
-        ParityError: the exported graph is not the module.
+        ParityError: the exported graph differs from the module.
     """
-    draw = drawn_inputs(contract, frames_per_token)
-    model = traced(module, contract, frames_per_token)
-    data = serialised(store_float16(copy.deepcopy(model)))
+    draw = random_inputs(contract, frames_per_token)
+    model = trace_to_onnx(module, contract, frames_per_token)
+    data = serialise(store_float16(copy.deepcopy(model)))
     parity = {contract.name: max_difference(data, module, contract, draw)}
-    if precision == "int8" and contract.name not in KEPT_IN_FLOAT:
-        data = serialised(store_float16(strip_metadata(_in_int8(model, contract.name))))
+    if precision == "int8" and contract.name not in FLOAT32_GRAPHS:
+        data = serialise(store_float16(strip_metadata(_quantise_graph(model, contract.name))))
         parity[f"int8_{contract.name}"] = relative_error(data, module, contract, draw)
     return data, parity
 
 
-def _in_int8(model: onnx.ModelProto, name: str) -> onnx.ModelProto:
-    if name in STORED_INT8:
-        return int8_weights(model)
+def _quantise_graph(model: onnx.ModelProto, name: str) -> onnx.ModelProto:
+    """Quantise a graph in the way of its kind: weights alone, or weights and activations."""
+    if name in INT8_WEIGHT_GRAPHS:
+        return store_int8(model)
     if name in AGD_DENOISERS.values():
-        # Adaptive gradient descent moves a context by thousandths, which int8 activations would round away: what reads
-        # and moves the context is only stored as int8 (its weights reach the products transposed, so the quantiser
-        # passes them by). `optimised` would fold them into two copies each.
-        return int8_weights(dynamic_int8(model))
-    return optimised(dynamic_int8(model))
+        # Adaptive gradient descent moves a context by thousandths, which int8 activations would round away. So the
+        # weights that read and move the context are only stored as int8: they reach the products transposed, which the
+        # quantiser skips. `optimise_graph` would fold them into two copies each.
+        return store_int8(quantise_dynamic(model))
+    return optimise_graph(quantise_dynamic(model))
 
 
 def dynamic_shapes(contract: GraphContract, frames_per_token: int) -> tuple[object, ...]:
-    """torch.export's description of the free axes, nested like the module's arguments."""
+    """Describe the free axes for torch.export, nested like the module's arguments."""
     dims: dict[str, object] = {}
     for spec in contract.inputs:
         for axis in spec.axes:
@@ -219,7 +241,7 @@ def dynamic_shapes(contract: GraphContract, frames_per_token: int) -> tuple[obje
     shapes: list[object] = []
     context: list[object] = []
     for spec in contract.inputs:
-        free = {place: dims[axis] for place, axis in enumerate(spec.axes) if isinstance(axis, str)}
+        free = {index: dims[axis] for index, axis in enumerate(spec.axes) if isinstance(axis, str)}
         if spec.name.startswith(("key_", "value_")):
             if not context:
                 shapes.append(context)
@@ -230,15 +252,26 @@ def dynamic_shapes(contract: GraphContract, frames_per_token: int) -> tuple[obje
 
 
 def export_graphs(
-    trained: Trained, text_width: int, features: int, precision: Precision
+    trained: TrainedModels, text_width: int, features: int, precision: Precision
 ) -> tuple[dict[str, bytes], dict[str, float]]:
-    """All trained graphs: file name -> bytes, and what `export_graph` measured."""
+    """Export all trained graphs.
+
+    Args:
+        trained: the models.
+        text_width: width of the text encoder's states.
+        features: number of motion features.
+        precision: of the denoisers.
+
+    Returns:
+        Bytes by file name, and the differences that `export_graph` measured.
+    """
     check_exportable(trained)
     declared = contracts(level_specs(trained), text_width, features)
+    group = trained.vae.config.frames_per_token
     files: dict[str, bytes] = {}
     parity: dict[str, float] = {}
     for name, module in graph_modules(trained).items():
         contract = declared[name]
-        files[contract.file], measured = export_graph(module, contract, trained.vae.config.frames_per_token, precision)
-        parity |= measured
+        files[contract.file], differences = export_graph(module, contract, group, precision)
+        parity |= differences
     return files, parity

@@ -1,4 +1,4 @@
-"""Trained modules with the flat inputs and outputs of the contract (kinegraph.bundle.contract)."""
+"""Wrap trained modules so that they have the flat inputs and outputs of the contract (kinegraph.bundle.contract)."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from kinegraph_training.models.vae import MotionVae
 
 
 class ContextGraph(nn.Module):
-    """context_{level}: key_0, value_0, key_1, ..."""
+    """Graph context_{level}: nodes and coarser latent -> key_0, value_0, key_1, ... of each layer."""
 
     def __init__(self, context: ContextEncoder) -> None:
         super().__init__()
@@ -20,30 +20,31 @@ class ContextGraph(nn.Module):
         return self.outputs(nodes, kind, order, coarse)
 
     def outputs(self, *inputs: Tensor) -> tuple[Tensor, ...]:
-        """What of the context is handed on."""
+        """Flatten the keys and values of all layers."""
         return tuple(part for pair in self.context(*inputs) for part in pair)
 
 
 class MotionContextGraph(ContextGraph):
-    """context_motion: there is no coarser latent."""
+    """Graph context_motion, which has no coarser latent."""
 
     def forward(self, nodes: Tensor, kind: Tensor, order: Tensor) -> tuple[Tensor, ...]:  # type: ignore[override]
         return self.outputs(nodes, kind, order)
 
 
 class AgdContextGraph(ContextGraph):
-    """context_{level}_agd: the tokens that keys and values are made of."""
+    """Graph context_{level}_agd: nodes and coarser latent -> the tokens that keys and values are projected from."""
 
     def outputs(self, *inputs: Tensor) -> tuple[Tensor, ...]:
+        """Stop before the projections: adaptive gradient descent moves the tokens."""
         return (ContextTokens.forward(self.context, *inputs),)
 
 
 class MotionAgdContextGraph(MotionContextGraph, AgdContextGraph):
-    """context_motion_agd."""
+    """Graph context_motion_agd, which has no coarser latent."""
 
 
 class ModulationGraph(nn.Module):
-    """clock_{level}: diffusion steps (k,), frames (b,) -> modulation (k, b, m, d)."""
+    """Graph clock_{level}: timesteps (k,), frames (b,) -> modulation (k, b, m, d)."""
 
     def __init__(self, clock: AdaLNModulation) -> None:
         super().__init__()
@@ -54,7 +55,7 @@ class ModulationGraph(nn.Module):
 
 
 class DenoiserGraph(nn.Module):
-    """step_{level}: latent, modulation, keys and values, src, combine, bias -> noise."""
+    """Graph step_{level}: latent, modulation, keys and values, src, combine, bias -> noise."""
 
     def __init__(self, step: NoisePredictor) -> None:
         super().__init__()
@@ -68,7 +69,7 @@ class DenoiserGraph(nn.Module):
 
 
 class AgdDenoiserGraph(nn.Module):
-    """step_{level}_agd: latent, modulation, context, gamma, src, combine, bias -> noise."""
+    """Graph step_{level}_agd: latent, modulation, context, gamma, src, combine, bias -> noise."""
 
     def __init__(self, step: AgdNoisePredictor) -> None:
         super().__init__()
@@ -88,7 +89,7 @@ class AgdDenoiserGraph(nn.Module):
 
 
 class DecoderGraph(nn.Module):
-    """decoder: standardised latent -> normalised features; the latent's scale is folded into the first layer."""
+    """Graph decoder: standardised latent (b, c, z) -> normalised features (b, l, F)."""
 
     def __init__(self, vae: MotionVae, centre: Tensor, scale: Tensor) -> None:
         super().__init__()
@@ -101,7 +102,7 @@ class DecoderGraph(nn.Module):
 
 
 class CoarseDecoderGraph(DecoderGraph):
-    """decoder_{level}: the same for a coarser level, whose autoencoder has a normalisation of its own."""
+    """Graph decoder_{level}: the same for a coarser level, whose autoencoder has a normalisation of its own."""
 
     def __init__(self, vae: MotionVae, centre: Tensor, scale: Tensor, gain: Tensor, shift: Tensor) -> None:
         super().__init__(vae, centre, scale)

@@ -1,4 +1,4 @@
-"""torch module -> self-contained, reproducible ONNX."""
+"""Export torch modules to self-contained, reproducible ONNX, and shrink stored weights."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from onnx import TensorProto, helper, numpy_helper
 from torch import nn
 
 OPSET = 20
-HALVED_ABOVE = 1024
-"""Numbers; smaller tensors are not worth a Cast node."""
+MIN_COMPRESSED_SIZE = 1024
+"""Elements up to which a tensor stays float32, because it is not worth a Cast node."""
 
 
 def to_onnx(
@@ -24,14 +24,14 @@ def to_onnx(
     output_names: Sequence[str],
     dynamic_shapes: tuple[Any, ...],
 ) -> onnx.ModelProto:
-    """Export in evaluation mode, weights inside, nothing in the file that tells of this machine.
+    """Export a module in evaluation mode, with weights inside and no trace of this machine in the file.
 
     Args:
         module: its forward takes `example_inputs`.
         example_inputs: sample arguments; lists of tensors are flattened in order.
-        input_names: of the flattened inputs.
-        output_names: of the outputs.
-        dynamic_shapes: free axes as torch.export wants them, nested like `example_inputs`.
+        input_names: names of the flattened inputs.
+        output_names: names of the outputs.
+        dynamic_shapes: free axes in the form of torch.export, nested like `example_inputs`.
     """
     with warnings.catch_warnings(), torch.no_grad():
         warnings.simplefilter("ignore")
@@ -52,7 +52,7 @@ def to_onnx(
 
 
 def strip_metadata(model: onnx.ModelProto) -> onnx.ModelProto:
-    """Without documentation, metadata (stack traces hold local paths) and intermediate shapes."""
+    """Remove documentation, metadata (stack traces hold local paths) and intermediate shapes; changes the model."""
     del model.metadata_props[:]
     model.doc_string = ""
     model.producer_name, model.producer_version = "kinegraph", ""
@@ -69,30 +69,34 @@ def strip_metadata(model: onnx.ModelProto) -> onnx.ModelProto:
 
 
 def store_float16(model: onnx.ModelProto) -> onnx.ModelProto:
-    """Large float32 weights stored as float16 behind a Cast, which onnxruntime folds at load: computation stays
-    float32 on rounded weights, the file takes half the space. Changes the model that it is given."""
+    """Store large float32 weights as float16 behind a Cast, which onnxruntime folds at load; changes the model.
+
+    Computation stays float32, on rounded weights; the file takes half the space.
+    """
     casts = []
     for tensor in model.graph.initializer:
         if tensor.data_type != TensorProto.FLOAT:
             continue
         values = numpy_helper.to_array(tensor)
-        if values.size <= HALVED_ABOVE:
+        if values.size <= MIN_COMPRESSED_SIZE:
             continue
         name = tensor.name
         tensor.CopyFrom(numpy_helper.from_array(values.astype(np.float16), f"{name}.half"))
         casts.append(helper.make_node("Cast", [f"{name}.half"], [name], name=f"Widen_{name}", to=TensorProto.FLOAT))
-    for place, cast in enumerate(casts):
-        model.graph.node.insert(place, cast)
+    for index, cast in enumerate(casts):
+        model.graph.node.insert(index, cast)
     return model
 
 
-def int8_weights(model: onnx.ModelProto) -> onnx.ModelProto:
-    """Large float32 matrices stored as int8 with a scale per column behind Cast and Mul, folded at load as in
-    `store_float16`: a quarter of the space, float32 arithmetic. Changes the model that it is given."""
+def store_int8(model: onnx.ModelProto) -> onnx.ModelProto:
+    """Store large float32 matrices as int8 with a scale per column behind Cast and Mul; changes the model.
+
+    Folded at load as in `store_float16`: float32 arithmetic, a quarter of the space.
+    """
     nodes = []
     for tensor in model.graph.initializer:
         values = numpy_helper.to_array(tensor)
-        if tensor.data_type != TensorProto.FLOAT or values.ndim != 2 or values.size <= HALVED_ABOVE:
+        if tensor.data_type != TensorProto.FLOAT or values.ndim != 2 or values.size <= MIN_COMPRESSED_SIZE:
             continue
         name = tensor.name
         scale = np.maximum(np.abs(values).max(axis=0, keepdims=True), 1e-12) / 127.0
@@ -100,25 +104,20 @@ def int8_weights(model: onnx.ModelProto) -> onnx.ModelProto:
         model.graph.initializer.append(numpy_helper.from_array(scale.astype(np.float32), f"{name}.scale"))
         nodes.append(helper.make_node("Cast", [f"{name}.int8"], [f"{name}.wide"], to=TensorProto.FLOAT))
         nodes.append(helper.make_node("Mul", [f"{name}.wide", f"{name}.scale"], [name]))
-    for place, node in enumerate(nodes):
-        model.graph.node.insert(place, node)
+    for index, node in enumerate(nodes):
+        model.graph.node.insert(index, node)
     return model
 
 
 @torch.no_grad()
 def round_weights(module: nn.Module) -> None:
-    """Give a module the weights its exported file will hold (see `store_float16`)."""
+    """Round the weights of a module to those that its exported file will hold (see `store_float16`)."""
     for value in [*module.parameters(), *module.buffers()]:
-        if value.is_floating_point() and value.numel() > HALVED_ABOVE:
+        if value.is_floating_point() and value.numel() > MIN_COMPRESSED_SIZE:
             value.copy_(value.half().float())
 
 
-def serialised(model: onnx.ModelProto) -> bytes:
-    """The same bytes for the same model."""
+def serialise(model: onnx.ModelProto) -> bytes:
+    """Check a model and serialise it, to the same bytes for the same model."""
     onnx.checker.check_model(model)
     return model.SerializeToString(deterministic=True)
-
-
-def operators(model: onnx.ModelProto) -> list[str]:
-    """Sorted `domain::OpType` of all nodes; "" is ONNX's own domain."""
-    return sorted({f"{node.domain}::{node.op_type}" for node in model.graph.node})

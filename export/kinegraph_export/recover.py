@@ -1,22 +1,24 @@
-"""A training run from a bundle: the denoisers' weights are read back out of its graphs, so that they can be trained on
-or exported anew (in another precision, with further graphs) where the checkpoint is gone.
+"""Recover a training run from a bundle, by reading the weights of denoisers and decoders back out of its graphs.
+
+A bundle holds all weights but those of the encoders, which `--vaes` gives. The run can be trained further or exported
+anew (in another precision, with further graphs) if its checkpoints are gone.
 
     python -m kinegraph_export.recover --bundle BUNDLE --preset edge --vaes weights/edge --run runs/recovered \
         --data DATA --held-out PAIRS
 
-The exporter moves, transposes and renames weights. Where each one went is found by exporting modules of the same shape
-whose weights are all different numbers. What comes back are the weights that the bundle holds, rounded to float16 or
-int8: a place to train on from, and from an fp32 bundle the same graphs again.
+The exporter moves, transposes and renames weights. To find where each one went, modules of the same shape are exported
+whose weights are all different numbers (the probe). The recovered weights are those that the bundle holds, rounded to
+float16 or int8: good enough to train further, and from an fp32 bundle the same graphs again.
 """
 
 from __future__ import annotations
 
 import argparse
 import io
-import shutil
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import onnx
@@ -27,33 +29,38 @@ from torch import nn
 from kinegraph.bundle.contract import COARSE_DECODERS, LEVELS, OPTIONAL_GRAPHS, GraphContract, contracts
 from kinegraph.bundle.reader import Bundle, read_bundle
 from kinegraph.errors import InvalidInputError
-from kinegraph_export.graphs import Trained, graph_modules, traced
+from kinegraph_export.graphs import TrainedModels, graph_modules, trace_to_onnx
+from kinegraph_export.modules import CoarseDecoderGraph, DecoderGraph
 from kinegraph_training.bundle_tables import write_tables
 from kinegraph_training.config import Preset, read_preset
-from kinegraph_training.dataset import limit_length, training_set
-from kinegraph_training.latents import encode_clips, read_vae, standardised
+from kinegraph_training.dataset import drop_long_clips, training_set
+from kinegraph_training.latents import encode_clips, read_vae, standardise
 from kinegraph_training.models.denoiser import DenoiserConfig, LatentShape
 from kinegraph_training.models.hierarchy import Hierarchy
+from kinegraph_training.models.vae import ENCODER_PARTS, MotionVae, VaeConfig
 
 FloatArrays = dict[str, np.ndarray]
 
-QUANTISED = "_quantized"
-"""How onnxruntime's quantiser names the int8 weights of a tensor; their scale is `{name}_scale`."""
+QUANTISED = (("_quantized", "_scale"), (".int8", ".scale"))
+"""Suffixes of a tensor's int8 weights and of their scale: those of onnxruntime's quantiser, and of `store_int8`."""
 
 
 def dequantised_weights(model: onnx.ModelProto) -> FloatArrays:
-    """Floating-point weights as float32: those stored as float16 under the name they are widened to, those in int8
-    multiplied by their scale."""
+    """Read the floating-point weights of a graph as float32, by name.
+
+    Weights stored as float16 get the name that they are widened to; int8 weights are multiplied by their scale.
+    """
     arrays = {tensor.name.removesuffix(".half"): numpy_helper.to_array(tensor) for tensor in model.graph.initializer}
-    found = {name: value.astype(np.float32) for name, value in arrays.items() if value.dtype.kind == "f"}
-    for name in [name for name in arrays if name.endswith(QUANTISED)]:
-        own = name.removesuffix(QUANTISED)
-        found[own] = arrays[name].astype(np.float32) * found.pop(f"{own}_scale")
-    return found
+    weights = {name: value.astype(np.float32) for name, value in arrays.items() if value.dtype.kind == "f"}
+    for int8, scale in QUANTISED:
+        for name in [name for name in arrays if name.endswith(int8)]:
+            tensor_name = name.removesuffix(int8)
+            weights[tensor_name] = arrays[name].astype(np.float32) * weights.pop(f"{tensor_name}{scale}")
+    return weights
 
 
-def views(value: np.ndarray) -> Iterator[np.ndarray]:
-    """The ways in which an exporter may keep a weight: as it is, transposed, or row by row."""
+def stored_layouts(value: np.ndarray) -> Iterator[np.ndarray]:
+    """View a weight in each layout that an exporter may store: as it is, transposed, or row by row."""
     yield value
     if value.ndim == 2:
         yield value.T
@@ -61,56 +68,136 @@ def views(value: np.ndarray) -> Iterator[np.ndarray]:
         yield from value
 
 
-def matched(probe: Mapping[str, np.ndarray], stored: Mapping[str, np.ndarray], found: Mapping[str, np.ndarray]) -> None:
-    """Write into `found` (weights by name, filled with NaN) what `stored` holds, by where `probe`'s numbers went.
+def copy_matching_weights(
+    probe: Mapping[str, np.ndarray], stored: Mapping[str, np.ndarray], weights: Mapping[str, np.ndarray]
+) -> None:
+    """Copy the weights of `stored` into `weights`, to where the numbers of `probe` came from.
 
     Args:
         probe: the weights of the exported probe by their names in the module.
         stored: per initializer, the probe's value and the bundle's, stacked: (2, ...).
-        found: arrays of the probe's shapes.
+        weights: arrays of the probe's shapes, by name, filled with NaN.
     """
-    for own, value in stored.values():
+    for probe_value, value in stored.values():
         for name, weight in probe.items():
-            for seen, target in zip(views(weight), views(found[name]), strict=True):
-                if seen.shape == own.shape and np.array_equal(seen, own):
+            for layout, target in zip(stored_layouts(weight), stored_layouts(weights[name]), strict=True):
+                if layout.shape == probe_value.shape and np.array_equal(layout, probe_value):
                     target[...] = value
 
 
-def recovered(module: nn.Module, contract: GraphContract, frames_per_token: int, data: bytes) -> None:
-    """Give a module the weights of its exported graph.
+def recover_module(
+    module: nn.Module,
+    weights: Mapping[str, nn.Parameter],
+    contract: GraphContract,
+    frames_per_token: int,
+    data: bytes,
+) -> None:
+    """Load the weights of an exported graph into its module.
+
+    Args:
+        module: of the graph.
+        weights: parameters of the module that the graph holds; they are replaced.
+        contract: of the graph.
+        frames_per_token: which the number of frames is a multiple of.
+        data: ONNX bytes of the graph.
 
     Raises:
         InvalidInputError: the graph is not the export of such a module by these versions of torch and onnx.
     """
     generator = torch.Generator().manual_seed(0)
-    weights = dict(module.named_parameters())
     with torch.no_grad():
         for weight in weights.values():
             weight.copy_(torch.randn(weight.shape, generator=generator))
-    model = traced(module, contract, frames_per_token)
-    own, stored = dequantised_weights(model), dequantised_weights(onnx.load_model_from_string(data))
-    if {name: value.shape for name, value in own.items()} != {name: value.shape for name, value in stored.items()}:
+    model = trace_to_onnx(module, contract, frames_per_token)
+    probed, stored = dequantised_weights(model), dequantised_weights(onnx.load_model_from_string(data))
+    if {name: value.shape for name, value in probed.items()} != {name: value.shape for name, value in stored.items()}:
         raise InvalidInputError(
             f"{contract.file} is not what this preset and these versions of torch and onnx export; "
             "take those of the bundle's provenance"
         )
     probe = {name: weight.detach().numpy().copy() for name, weight in weights.items()}
-    found = {name: np.full_like(weight, np.nan) for name, weight in probe.items()}
-    matched(probe, {name: np.stack([own[name], stored[name]]) for name in own}, found)
-    lost = [name for name, value in found.items() if np.isnan(value).any()]
-    if lost:
-        raise InvalidInputError(f"{contract.file} does not hold {', '.join(lost)}")
+    recovered = {name: np.full_like(weight, np.nan) for name, weight in probe.items()}
+    copy_matching_weights(probe, {name: np.stack([probed[name], stored[name]]) for name in probed}, recovered)
+    missing = [name for name, value in recovered.items() if np.isnan(value).any()]
+    if missing:
+        raise InvalidInputError(f"{contract.file} does not hold {', '.join(missing)}")
     with torch.no_grad():
         for name, weight in weights.items():
-            weight.copy_(torch.from_numpy(found[name]))
+            weight.copy_(torch.from_numpy(recovered[name]))
 
 
-def hierarchy_of(bundle: Bundle, config: DenoiserConfig, vaes: Path) -> tuple[Hierarchy, FloatArrays]:
-    """The denoisers of a bundle, and the standardisation (c, z) of the latents whose decoders it holds."""
+def store_encoder(checkpoint: Path, out: Path) -> None:
+    """Write the encoder of a trained autoencoder in float16, without its decoder and the state of the optimiser.
+
+    `recover` completes such a checkpoint by the decoder of a bundle.
+
+    Args:
+        checkpoint: of `train_vae`.
+        out: checkpoint to write.
+    """
+    state = torch.load(checkpoint, map_location="cpu", weights_only=True)
+    weights = {}
+    for name, value in state["state_dict"].items():
+        if not name.startswith("vae."):  # the normalisation of features
+            weights[name] = value
+        elif name.split(".")[1] in ENCODER_PARTS:
+            weights[name] = value.half()
+    torch.save({"hyper_parameters": state["hyper_parameters"], "state_dict": weights}, out)
+
+
+def recover_autoencoder(bundle: Bundle, level: str, checkpoint: Path, contract: GraphContract) -> dict[str, Any]:
+    """Complete the checkpoint of an encoder by the decoder that a bundle holds.
+
+    Args:
+        bundle: to read.
+        level: of the autoencoder.
+        checkpoint: of `store_encoder`; that of a whole autoencoder is returned as it is.
+        contract: of the level's decoder.
+
+    Raises:
+        InvalidInputError: the checkpoint lacks weights of the encoder, or the bundle has no decoder for it.
+    """
+    state = torch.load(checkpoint, map_location="cpu", weights_only=True)
+    vae = MotionVae(VaeConfig(**state["hyper_parameters"]["config"])).eval()
+    encoder = {name.removeprefix("vae."): v for name, v in state["state_dict"].items() if name.startswith("vae.")}
+    missing = {name.split(".")[0] for name in vae.load_state_dict(encoder, strict=False).missing_keys}
+    if not missing:
+        return state
+    if missing & ENCODER_PARTS:
+        raise InvalidInputError(f"{checkpoint} lacks {', '.join(sorted(missing & ENCODER_PARTS))} of the encoder")
+    manifest, spec, config = bundle.manifest, bundle.manifest.levels[level], vae.config
+    if contract.file not in manifest.files:
+        raise InvalidInputError(f"{checkpoint} is of an encoder alone, and the bundle has no {contract.file}")
+    if (config.tokens, config.latent_width) != (spec.tokens, spec.latent_width):
+        raise InvalidInputError(
+            f"{checkpoint} has {config.tokens} latent tokens of width {config.latent_width}, "
+            f"the bundle {spec.tokens} of {spec.latent_width}: they are not of one model"
+        )
+    # Standardisation and normalisation are not recovered. Their probes are different numbers, as the exporter would
+    # store equal ones once, and not 0 or 1, as it would leave out the arithmetic.
+    centre, scale = torch.rand(2, config.tokens, config.latent_width) + 2
+    gain, shift = torch.rand(2, config.features) + 2
+    fine = level == LEVELS[-1]
+    module = DecoderGraph(vae, centre, scale) if fine else CoarseDecoderGraph(vae, centre, scale, gain, shift)
+    data = bundle.files[contract.file] if fine else bundle.read_optional(contract.file)
+    weights = {name: value for name, value in vae.named_parameters() if name.split(".")[0] not in ENCODER_PARTS}
+    recover_module(module.eval(), weights, contract, manifest.frames.per_token, data)
+    state["state_dict"] |= {f"vae.{name}": value.detach() for name, value in weights.items()}
+    return state
+
+
+def recover_hierarchy(bundle: Bundle, config: DenoiserConfig, run: Path) -> tuple[Hierarchy, FloatArrays]:
+    """Recover the denoisers of a bundle, and the statistics (c, z) of the latents whose decoders it holds.
+
+    Args:
+        bundle: to read.
+        config: of the denoisers.
+        run: folder with the autoencoders.
+    """
     manifest = bundle.manifest
     shapes = {level: LatentShape(spec.tokens, spec.latent_width) for level, spec in manifest.levels.items()}
     hierarchy = Hierarchy(config, shapes).eval()
-    own = read_vae(vaes / f"vae_{LEVELS[-1]}.ckpt")
+    specific = read_vae(run / f"vae_{LEVELS[-1]}" / "last.ckpt")
     declared = contracts(manifest.levels, config.text_width, len(manifest.features.mean))
     statistics = {}
     for level, graph in ((LEVELS[-1], "decoder"), *COARSE_DECODERS.items()):
@@ -120,69 +207,75 @@ def hierarchy_of(bundle: Bundle, config: DenoiserConfig, vaes: Path) -> tuple[Hi
             decoder = dequantised_weights(onnx.load_model_from_string(data))
             statistics |= {f"{level}_{name}": decoder[name] for name in ("centre", "scale")}
     unit = torch.ones(shapes[LEVELS[-1]].tokens, shapes[LEVELS[-1]].width)
-    for name, module in graph_modules(Trained(hierarchy, own.vae, unit, unit)).items():
+    for name, module in graph_modules(TrainedModels(hierarchy, specific.vae, unit, unit)).items():
         if name != "decoder" and name not in OPTIONAL_GRAPHS:
             contract = declared[name]
-            recovered(module, contract, manifest.frames.per_token, bundle.files[contract.file])
+            weights = dict(module.named_parameters())
+            recover_module(module, weights, contract, manifest.frames.per_token, bundle.files[contract.file])
     return hierarchy, statistics
 
 
-def coarse_statistics(vaes: Path, data: Path, held_out: Path | None, preset: Preset) -> FloatArrays:
-    """Standardisation of the coarser levels' latents, measured on the clips that the bundle was trained on."""
-    train = limit_length(training_set(data, preset.data, held_out), preset.data.max_frames)
-    found = {}
+def coarse_statistics(run: Path, data: Path, held_out: Path | None, preset: Preset) -> FloatArrays:
+    """Measure the statistics of the coarser levels' latents on the clips that the bundle was trained on."""
+    train = drop_long_clips(training_set(data, preset.data, held_out), preset.data.max_frames)
+    statistics = {}
     for level in COARSE_DECODERS:
-        own = standardised(*encode_clips(read_vae(vaes / f"vae_{level}.ckpt"), train))
-        found |= {f"{level}_centre": own.centre.numpy(), f"{level}_scale": own.scale.numpy()}
-    return found
+        latents = standardise(*encode_clips(read_vae(run / f"vae_{level}" / "last.ckpt"), train))
+        statistics |= {f"{level}_centre": latents.centre.numpy(), f"{level}_scale": latents.scale.numpy()}
+    return statistics
 
 
 def recover(
     folder: Path, preset: str, vaes: Path, run: Path, data: Path | None = None, held_out: Path | None = None
 ) -> None:
-    """Write `run` as if it had been trained: the three autoencoders, the denoisers, what was measured on the data.
+    """Write a run as if it had been trained: the three autoencoders, the denoisers, and the statistics of the data.
 
     Args:
         folder: of the bundle.
-        preset: it was trained with.
-        vaes: folder of the autoencoders' checkpoints.
+        preset: that the bundle was trained with.
+        vaes: folder of the autoencoders' checkpoints `vae_{level}.ckpt`, whole or of the encoders alone.
         run: folder to write.
-        data: training data; measures what a bundle without coarse decoders does not tell, so that the next has them.
+        data: training data, needed to give a bundle without coarse decoders the statistics for them.
         held_out: pairs that training never joined, as in `train_denoisers`.
 
     Raises:
         BundleError: the bundle cannot be read.
-        InvalidInputError: it was not exported from this preset.
+        InvalidInputError: it was not exported from this preset, or lacks a decoder whose weights `vaes` lack too.
     """
-    bundle, wanted = read_bundle(folder), read_preset(preset)
-    hierarchy, statistics = hierarchy_of(bundle, wanted.denoiser, vaes)
+    bundle, config = read_bundle(folder), read_preset(preset)
+    manifest = bundle.manifest
+    declared = contracts(manifest.levels, config.denoiser.text_width, len(manifest.features.mean))
+    for level in LEVELS:
+        contract = declared[COARSE_DECODERS.get(level, "decoder")]
+        state = recover_autoencoder(bundle, level, vaes / f"vae_{level}.ckpt", contract)
+        (run / f"vae_{level}").mkdir(parents=True, exist_ok=True)
+        torch.save(state, run / f"vae_{level}" / "last.ckpt")
+    hierarchy, statistics = recover_hierarchy(bundle, config.denoiser, run)
     if data is not None:
-        statistics = coarse_statistics(vaes, data, held_out, wanted) | statistics
+        statistics = coarse_statistics(run, data, held_out, config) | statistics
     shapes = {level: asdict(shape) for level, shape in hierarchy.latents.items()}
-    known = {"config": asdict(wanted.denoiser), "training": asdict(wanted.denoiser_training), "latents": shapes}
+    settings = {"config": asdict(config.denoiser), "training": asdict(config.denoiser_training), "latents": shapes}
     state = {f"hierarchy.{name}": value for name, value in hierarchy.state_dict().items()}
     state |= {name: torch.from_numpy(value) for name, value in statistics.items()}
     (run / "denoisers").mkdir(parents=True, exist_ok=True)
-    torch.save({"hyper_parameters": known, "state_dict": state}, run / "denoisers" / "last.ckpt")
-    for level in LEVELS:
-        (run / f"vae_{level}").mkdir(exist_ok=True)
-        shutil.copyfile(vaes / f"vae_{level}.ckpt", run / f"vae_{level}" / "last.ckpt")
+    torch.save({"hyper_parameters": settings, "state_dict": state}, run / "denoisers" / "last.ckpt")
     with np.load(io.BytesIO(bundle.files["tables.npz"]), allow_pickle=False) as tables:
         write_tables(run, dict(tables))
 
 
 def main(argv: list[str] | None = None) -> None:
-    """Command line."""
+    """Run the command line."""
     parser = argparse.ArgumentParser(prog="kinegraph_export.recover", description=__doc__.split("\n")[0])
-    parser.add_argument("--bundle", type=Path, required=True)
+    parser.add_argument("--bundle", type=Path, required=True, help="folder of the bundle")
     parser.add_argument("--preset", default="edge", help="preset that the bundle was trained with")
-    parser.add_argument("--vaes", type=Path, required=True, help="folder with vae_{motion,action,specific}.ckpt")
+    parser.add_argument(
+        "--vaes", type=Path, required=True, help="folder with vae_{motion,action,specific}.ckpt, encoders at least"
+    )
     parser.add_argument("--run", type=Path, required=True, help="folder of the run to write")
-    parser.add_argument("--data", type=Path, help="training data, to give a bundle without coarse decoders them")
+    parser.add_argument("--data", type=Path, help="training data, needed where the bundle has no coarse decoders")
     parser.add_argument("--held-out", type=Path, help="pairs that training never joined, as in train_denoisers")
-    arguments = parser.parse_args(argv)
-    given = (arguments.bundle, arguments.preset, arguments.vaes, arguments.run, arguments.data, arguments.held_out)
-    recover(*given)
+    options = parser.parse_args(argv)
+    recover(options.bundle, options.preset, options.vaes, options.run, options.data, options.held_out)
 
 
 if __name__ == "__main__":

@@ -12,7 +12,7 @@ onnx = pytest.importorskip("onnx")
 pytest.importorskip("onnxscript")
 
 from kinegraph.bundle.contract import LevelSpec, denoiser, modulation
-from kinegraph_export.graphs import drawn_inputs, export_graph
+from kinegraph_export.graphs import export_graph, random_inputs
 from kinegraph_export.modules import DenoiserGraph, ModulationGraph
 from kinegraph_export.onnx_export import round_weights
 from kinegraph_export.parity import ParityError, max_difference, relative_error
@@ -93,7 +93,7 @@ def test_the_same_module_gives_the_same_int8_bytes(network: DenoiserGraph, in_in
 def test_parity_sees_a_wrong_weight(in_float: Exported) -> None:
     data, _ = in_float
     other = DenoiserGraph(NoisePredictor(CONFIG, LatentShape(TOKENS, 8))).eval()
-    draw = drawn_inputs(CONTRACT, 4)
+    draw = random_inputs(CONTRACT, 4)
     with pytest.raises(ParityError, match="step_motion"):
         max_difference(data, other, CONTRACT, draw)
     with pytest.raises(ParityError, match="in int8 is off by"):
@@ -104,7 +104,7 @@ def test_the_clock_is_one_graph_of_all_steps() -> None:
     contract = modulation("motion", LEVEL)
     data, _ = export_graph(ModulationGraph(AdaLNModulation(CONFIG)).eval(), contract, 4, "int8")
     assert "Loop" not in {node.op_type for node in onnx.load_model_from_string(data).graph.node}
-    feeds = drawn_inputs(contract, 4)(np.random.Generator(np.random.PCG64(0)))
+    feeds = random_inputs(contract, 4)(np.random.Generator(np.random.PCG64(0)))
     import onnxruntime
 
     (found,) = onnxruntime.InferenceSession(data).run(None, feeds)

@@ -21,9 +21,9 @@ import onnxruntime
 
 from kinegraph.errors import BundleIntegrityError, InvalidInputError
 from kinegraph.text.tokenizer import CaptionTokenizer
-from kinegraph_export.pinned_wheels import MINILM, checked_wheel
+from kinegraph_export.pinned_wheels import MINILM, open_pinned_wheel
 from kinegraph_export.text_assets import find_wheel
-from kinegraph_export.text_encoder import MiniLm, export_text_encoder, load_minilm, tokenizer_json
+from kinegraph_export.text_encoder import MiniLm, export_text_encoder, load_minilm, read_tokenizer
 
 
 @pytest.fixture(scope="module")
@@ -46,7 +46,7 @@ def captions(wheel: Path) -> list[np.ndarray]:
     rows = path.read_text(encoding="utf-8").splitlines()
     texts = [json.loads(row)["captions"][number % 4] for number, row in enumerate(rows[::13])][:200]
     assert len(set(texts)) > 150
-    tokenizer = CaptionTokenizer(tokenizer_json(wheel))
+    tokenizer = CaptionTokenizer(read_tokenizer(wheel))
     return [tokenizer.encode(text).ids for text in texts]
 
 
@@ -143,11 +143,11 @@ def test_another_precision_is_refused_before_anything_is_read() -> None:
 
 def test_a_wheel_that_is_missing_or_another_one_names_the_right_one(tmp_path: Path) -> None:
     with pytest.raises(InvalidInputError, match=MINILM.package):
-        checked_wheel(tmp_path / "none.whl", MINILM)
+        open_pinned_wheel(tmp_path / "none.whl", MINILM)
     other = tmp_path / "other.whl"
     with zipfile.ZipFile(other, "w") as archive:
         archive.writestr("model.safetensors", b"")
     with pytest.raises(BundleIntegrityError, match=MINILM.sha256):
-        checked_wheel(other, MINILM)
+        open_pinned_wheel(other, MINILM)
     with pytest.raises(InvalidInputError, match="0 wheels"):
         find_wheel(tmp_path, MINILM.package)

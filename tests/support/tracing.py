@@ -19,7 +19,7 @@ Key = tuple[GraphContract, int, str]
 
 
 class Traces:
-    """Replacement of `graphs.traced` that traces the same module with the same weights once."""
+    """Replacement of `graphs.trace_to_onnx` that traces the same module with the same weights once."""
 
     def __init__(self, trace: Callable[[nn.Module, GraphContract, int], onnx.ModelProto]) -> None:
         self._trace = trace
@@ -50,8 +50,8 @@ class Traces:
 @contextmanager
 def traced_once(*users: ModuleType) -> Iterator[Traces]:
     """Install the cache in `graphs` and in other modules that trace, until the end of the block."""
-    traces = Traces(graphs.traced)
+    traces = Traces(graphs.trace_to_onnx)
     with pytest.MonkeyPatch.context() as patch:
         for user in (graphs, *users):
-            patch.setattr(user, "traced", traces)
+            patch.setattr(user, "trace_to_onnx", traces)
         yield traces

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import shutil
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -19,8 +18,9 @@ pytest.importorskip("spacy")
 
 import kinegraph
 from kinegraph import Concept, MotionPipeline
-from kinegraph.bundle.contract import LEVELS
+from kinegraph.bundle.contract import LEVELS, contracts
 from kinegraph.bundle.manifest import Licence
+from kinegraph.bundle.reader import read_bundle
 from kinegraph.concepts import METHODS
 from kinegraph.diffusion.sampling import LevelPlan, initial_noise
 from kinegraph.edits import with_weight, without
@@ -28,18 +28,19 @@ from kinegraph.errors import BundleError, InvalidInputError
 from kinegraph.motion.postprocess import enforce_bone_lengths
 from kinegraph_export import recover as recovering
 from kinegraph_export.checkpoints import read_run
-from kinegraph_export.export_bundle import Card, export_bundle
-from kinegraph_export.pipeline_parity import Request, torch_joints
-from kinegraph_export.recover import coarse_statistics, recover
+from kinegraph_export.export_bundle import BundleCard, export_bundle
+from kinegraph_export.pipeline_parity import SamplingRequest, torch_joints
+from kinegraph_export.recover import coarse_statistics, recover, recover_autoencoder, store_encoder
 from kinegraph_training.config import read_preset
 from kinegraph_training.latents import read_vae
+from kinegraph_training.models.vae import ENCODER_PARTS
 from support.toy_run import ASSETS
 from support.tracing import Traces, traced_once
 
 WEIGHTS = Path(__file__).parents[2] / "weights" / "edge"
 pytestmark = pytest.mark.timeout(600)
 
-CARD = Card(
+CARD = BundleCard(
     name="toy",
     version="0",
     licence=Licence(*["public domain"] * 5),
@@ -55,10 +56,11 @@ CARD = Card(
 
 
 @pytest.fixture(scope="module")
-def vaes(trained: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("vaes")
+def encoders(trained: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Folder of the encoders alone, as `weights/edge` holds them."""
+    folder = tmp_path_factory.mktemp("encoders")
     for level in LEVELS:
-        shutil.copyfile(trained / "run" / f"vae_{level}" / "last.ckpt", folder / f"vae_{level}.ckpt")
+        store_encoder(trained / "run" / f"vae_{level}" / "last.ckpt", folder / f"vae_{level}.ckpt")
     return folder
 
 
@@ -96,7 +98,7 @@ def test_the_runtime_moves_conditions_as_torch_does(trained: Path, bundle: Path)
     run, own = read_run(trained / "run")
     plans = [LevelPlan(name, spec.tokens, spec.latent_width, 1) for name, spec in pipe.manifest.levels.items()]
     noise = initial_noise(3, plans)
-    request = Request(len(moved), noise, sampling.steps, sampling.guidance, sampling.guidance_base, agd)
+    request = SamplingRequest(len(moved), noise, sampling.steps, sampling.guidance, sampling.guidance_base, agd)
     expected = torch_joints(run, pipe.encoder.encode_text([graph])[0], request, own.mean, own.std)
     np.testing.assert_allclose(moved, enforce_bone_lengths(expected, pipe.decoder.bones), atol=1e-4)
     assert np.abs(moved - pipe.generate(graph, **how).joints).max() > 1e-3
@@ -134,7 +136,7 @@ def test_identities_hold_to_rounding_in_float32(bundle: Path) -> None:
     walk, turn = "a person walks to the left", "someone turns to the right"
     few: dict[str, Any] = {"seconds": 2, "foot_fix": False}
     plain = pipe.generate(walk, seed=1, **few).joints
-    clips = pipe.batch([walk, turn], takes=2, seconds=[2, 3], seed=1, foot_fix=False)
+    clips = pipe.batch([walk, turn], takes=2, seconds=[2, 3], seed=1, foot_fix=False, shared_run=True)
     alone = [pipe.generate(clip.text, seed=clip.seed, seconds=clip.duration, foot_fix=False) for clip in clips]
     for clip, own in zip(clips, alone, strict=True):
         # Padding changes roundings in the text encoder, whose int8 blocks can then fall on the other side.
@@ -153,7 +155,7 @@ def test_identities_hold_to_rounding_in_float32(bundle: Path) -> None:
     assert np.abs(latent - semantic).max() > 1e-3
 
 
-def test_an_int8_bundle_is_smaller_and_near(trained: Path, bundle: Path, vaes: Path, tmp_path: Path) -> None:
+def test_an_int8_bundle_is_smaller_and_near(trained: Path, bundle: Path, encoders: Path, tmp_path: Path) -> None:
     manifest = export_bundle(trained / "run", ASSETS, CARD, tmp_path / "int8", "int8")
     assert manifest.precision == "int8" and "int8" in manifest.provenance["numbers"]
     assert {f"int8_step_{level}" for level in LEVELS} <= manifest.parity.keys()
@@ -164,7 +166,16 @@ def test_an_int8_bundle_is_smaller_and_near(trained: Path, bundle: Path, vaes: P
         for folder in (tmp_path / "int8", bundle)
     ]
     assert 1e-6 < np.linalg.norm(clips[0] - clips[1], axis=-1).mean() < 0.1
-    recover(tmp_path / "int8", "tiny", vaes, tmp_path / "recovered")
+    recover(tmp_path / "int8", "tiny", encoders, tmp_path / "recovered")
+    for level in LEVELS:
+        first, again = (
+            read_vae(run / f"vae_{level}" / "last.ckpt").vae.state_dict()
+            for run in (trained / "run", tmp_path / "recovered")
+        )
+        for name, value in first.items():
+            # Encoders and the finest decoder come back as float16, coarse decoders as int8 with a scale per column.
+            exact = level == LEVELS[-1] or name.split(".")[0] in ENCODER_PARTS
+            assert (value - again[name]).abs().max() <= value.abs().max() / (2000 if exact else 250) + 1e-7, name
     own, back = (
         torch.load(run / "denoisers" / "last.ckpt", weights_only=True)["state_dict"]
         for run in (trained / "run", tmp_path / "recovered")
@@ -181,9 +192,9 @@ ONE_OF_A_KIND = (
 
 
 def test_a_run_recovered_from_a_bundle_gives_the_same_bundle(
-    bundle: Path, vaes: Path, traces: Traces, tmp_path: Path
+    bundle: Path, encoders: Path, traces: Traces, tmp_path: Path
 ) -> None:
-    recover(bundle, "tiny", vaes, tmp_path / "run")
+    recover(bundle, "tiny", encoders, tmp_path / "run")
     # The exporter itself must give the same bytes twice; and with the other base of guidance, so that the whole
     # pipeline is held against torch for both.
     with traces.anew(*ONE_OF_A_KIND) as traced:
@@ -194,18 +205,37 @@ def test_a_run_recovered_from_a_bundle_gives_the_same_bundle(
 
 
 def test_of_a_bundle_without_coarse_decoders_the_data_tell_how_latents_were_standardised(
-    trained: Path, vaes: Path
+    trained: Path,
 ) -> None:
     weights = torch.load(trained / "run" / "denoisers" / "last.ckpt", weights_only=True)["state_dict"]
-    measured = coarse_statistics(vaes, trained / "data", None, read_preset("tiny"))
+    measured = coarse_statistics(trained / "run", trained / "data", None, read_preset("tiny"))
     assert set(measured) == {f"{level}_{name}" for level in LEVELS[:-1] for name in ("centre", "scale")}
     for name, value in measured.items():
         np.testing.assert_allclose(value, weights[name], atol=1e-5)
 
 
-def test_a_bundle_of_another_preset_is_not_recovered(bundle: Path, tmp_path: Path) -> None:
+def test_a_bundle_of_another_preset_is_not_recovered(bundle: Path, encoders: Path, tmp_path: Path) -> None:
     with pytest.raises(InvalidInputError, match="is not what this preset"):
+        recover(bundle, "edge", encoders, tmp_path / "wrong")
+    with pytest.raises(InvalidInputError, match="are not of one model"):
         recover(bundle, "edge", WEIGHTS, tmp_path / "wrong")
+
+
+def test_an_encoder_is_not_completed_by_a_bundle_that_lacks_its_decoder(
+    trained: Path, bundle: Path, encoders: Path, tmp_path: Path
+) -> None:
+    known = read_bundle(bundle)
+    bare = replace(known, manifest=replace(known.manifest, files={}))
+    decoder = contracts(known.manifest.levels, known.manifest.text.width, 137)["decoder_motion"]
+    with pytest.raises(InvalidInputError, match=r"no decoder_motion\.onnx"):
+        recover_autoencoder(bare, "motion", encoders / "vae_motion.ckpt", decoder)
+    # A whole autoencoder needs none.
+    whole = trained / "run" / "vae_motion" / "last.ckpt"
+    state = recover_autoencoder(bare, "motion", whole, decoder)
+    assert state["state_dict"].keys() == torch.load(whole, weights_only=True)["state_dict"].keys()
+    torch.save({**state, "state_dict": {"mean": state["state_dict"]["mean"]}}, tmp_path / "no_encoder.ckpt")
+    with pytest.raises(InvalidInputError, match="lacks encoder"):
+        recover_autoencoder(bare, "motion", tmp_path / "no_encoder.ckpt", decoder)
 
 
 def test_other_folders_are_not_overwritten_and_no_run_is_even_read(tmp_path: Path) -> None:

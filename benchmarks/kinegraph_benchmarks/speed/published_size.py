@@ -28,7 +28,7 @@ from kinegraph.graph import SemanticGraph
 from kinegraph.options import GenerateOptions
 from kinegraph_export.graphs import Precision, export_graph
 from kinegraph_export.modules import ContextGraph, DenoiserGraph, ModulationGraph, MotionContextGraph
-from kinegraph_export.onnx_export import round_weights, serialised, to_onnx
+from kinegraph_export.onnx_export import round_weights, serialise, to_onnx
 from kinegraph_training.config import read_preset
 from kinegraph_training.models.denoiser import LatentShape
 from kinegraph_training.models.hierarchy import Hierarchy
@@ -189,7 +189,7 @@ def plain_onnx_levels(model: Hierarchy, task: SamplingTask, threads: int) -> dic
         order += [] if coarse is None else ["coarse"]
         example = tuple(torch.from_numpy(feeds[name]) for name in order)
         graph = to_onnx(WholeLevel(model.levels[plan.name]), example, order, ["noise"], tuple({} for _ in order))
-        session = onnxruntime.InferenceSession(serialised(graph), session_options(threads))
+        session = onnxruntime.InferenceSession(serialise(graph), session_options(threads))
         runs[plan.name] = lambda inputs, session=session: session.run(["noise"], inputs)[0]
         coarse = latent[:1]
     return runs

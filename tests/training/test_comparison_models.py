@@ -1,4 +1,4 @@
-"""Models that are for comparison only: GraphMotion's own denoiser, one stage, words instead of the graph."""
+"""Models for comparison only: GraphMotion's own denoiser, a single stage, and plain tokens instead of the graph."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ torch = pytest.importorskip("torch")
 
 from kinegraph.bundle.contract import LEVELS, NULL_KIND, PADDING_BIAS
 from kinegraph.errors import InvalidInputError
-from kinegraph_export.graphs import Trained, check_exportable, level_specs
-from kinegraph_training.data.caption_cache import plain_tokens
+from kinegraph_export.graphs import TrainedModels, check_exportable, level_specs
+from kinegraph_training.data.caption_cache import tokens_as_graph
 from kinegraph_training.models.concat_denoiser import ConcatDenoiser
 from kinegraph_training.models.denoiser import DenoiserConfig, LatentShape
 from kinegraph_training.models.hierarchy import GraphBatch, Hierarchy
@@ -25,8 +25,8 @@ def config(**changes: object) -> DenoiserConfig:
 
 def hierarchy(**changes: object) -> Hierarchy:
     torch.manual_seed(0)
-    own = config(**changes)
-    return Hierarchy(own, {level: LatentShape(2 + n, 6) for n, level in enumerate(own.levels)}).eval()
+    model_config = config(**changes)
+    return Hierarchy(model_config, {level: LatentShape(2 + n, 6) for n, level in enumerate(model_config.levels)}).eval()
 
 
 @pytest.mark.parametrize(
@@ -99,14 +99,14 @@ def test_without_reasoning_nodes_stay_as_they_are() -> None:
 
 def test_words_without_a_graph_are_nodes_without_edges() -> None:
     hidden = np.arange(12, dtype=np.float32).reshape(3, 4)
-    found = plain_tokens(hidden)
-    np.testing.assert_array_equal(found.nodes, [[4, 5, 6, 7], *hidden.tolist()])
-    assert (found.relation >= 0).sum() == 4 and (found.kind == 0).all()
+    graph = tokens_as_graph(hidden)
+    np.testing.assert_array_equal(graph.nodes, [[4, 5, 6, 7], *hidden.tolist()])
+    assert (graph.relation >= 0).sum() == 4 and (graph.kind == 0).all()
 
 
-def trained(**changes: object) -> Trained:
+def trained(**changes: object) -> TrainedModels:
     shape = VaeConfig(features=137, tokens=8, latent_width=6, width=16, layers=3, heads=2, feed_forward=32)
-    return Trained(hierarchy(**changes), MotionVae(shape), torch.zeros(8, 6), torch.ones(8, 6))
+    return TrainedModels(hierarchy(**changes), MotionVae(shape), torch.zeros(8, 6), torch.ones(8, 6))
 
 
 @pytest.mark.parametrize(
