@@ -16,7 +16,7 @@ import kinegraph
 from kinegraph import cli
 from kinegraph.clip import Clip
 from kinegraph.errors import InvalidInputError
-from kinegraph.formats import encode
+from kinegraph.formats import NAMED, READERS, encode
 from kinegraph.formats.html import clips_page
 from kinegraph.formats.npz import read_npz
 from kinegraph.graph import SemanticGraph
@@ -175,11 +175,27 @@ def test_view_opens_a_page_of_all_clips(here: Path, opened: list[str], capsys: p
     assert (here / "kept.html").read_bytes() == encode(read_npz(here / "one.npz"), ".html")
 
 
+def test_view_opens_every_format_that_holds_a_clip(here: Path, opened: list[str]) -> None:
+    for suffix in READERS:
+        for root in (False, True) if suffix in NAMED else (False,):
+            names = "mixamo" if root else "smpl"
+            clip(text=suffix).save(here / f"{suffix[1:]}{'_root' if root else ''}{suffix}", names=names, root=root)
+    files = sorted(path.name for path in here.iterdir())
+    assert cli.main(["view", *files, "-o", "page.html"]) == 0 and len(opened) == 1
+    shown = Page((here / "page.html").read_bytes()).data["clips"]
+    assert [each["text"] for each in shown] == ["bvh", "bvh_root", ".glb", ".glb", ".json", ".npz"]
+    assert {(each["frames"], each["fps"]) for each in shown} == {(20, 20.0)}
+    assert [each["seed"] for each in shown] == ["0", "0", *[str(2**60)] * 4]
+
+
 def test_view_refuses_what_it_cannot_show(here: Path, opened: list[str], capsys: pytest.CaptureFixture[str]) -> None:
     clip().save(here / "one.npz")
     (here / "two.npz").write_text("no clip")
     assert "no file 'none.npz'" in fails(capsys, "view", "none.npz")
     assert "'two.npz' is no clip" in fails(capsys, "view", "one.npz", "two.npz")
+    (here / "two.glb").write_bytes(b"glTF of another program")
+    assert "'two.glb' is no clip that kinegraph saved as .glb" in fails(capsys, "view", "one.npz", "two.glb")
+    assert "clips are read from .bvh, .glb, .json, .npz" in fails(capsys, "view", "two.fbx")
     assert "can be saved as .html" in fails(capsys, "view", "one.npz", "-o", "page.pdf")
     (here / "page.html").write_text("mine")
     assert "exists" in fails(capsys, "view", "one.npz", "-o", "page.html")

@@ -172,12 +172,10 @@ def _read_bytes(path: Path) -> bytes:
     try:
         if not path.is_file():
             raise InvalidInputError(f"there is no file {name}; name a clip saved as {', '.join(sorted(READERS))}")
-        with path.open("rb") as file:
-            data = file.read(MAX_BYTES + 1)
+        if path.stat().st_size > MAX_BYTES:
+            raise InvalidInputError(f"{name} is larger than {MAX_BYTES >> 20} MiB; clips that long are not read")
+        return path.read_bytes()
     except (OSError, ValueError) as error:
         if isinstance(error, InvalidInputError):
             raise
         raise InvalidInputError(f"{name} cannot be read ({error}); check the name and its permissions") from error
-    if len(data) > MAX_BYTES:
-        raise InvalidInputError(f"{name} is larger than {MAX_BYTES >> 20} MiB; clips that long are not read")
-    return data

@@ -33,13 +33,15 @@ def decode(data: bytes) -> dict[str, Any]:
     Raises:
         InvalidInputError: not a BVH file that `formats.bvh.encode` could have written.
     """
+    if not data.endswith(b"\n"):
+        raise InvalidInputError("it is cut short: it ends within a line")
     lines = _words(data)
     offsets, root = _read_hierarchy(lines)
     frames, fps = _read_header(lines)
     width = 6 + 3 * (JOINTS - 1) + (6 if root else 0)
     # every number takes two bytes at least: no array is larger than the file allows
     if not 1 <= frames <= MAX_READ_FRAMES or frames * width * 2 > len(data):
-        raise InvalidInputError(f"its {frames} frames are not 1 to {MAX_READ_FRAMES}, or not all there")
+        raise InvalidInputError(f"its {str(frames)[:20]} frames are not 1 to {MAX_READ_FRAMES}, or not all there")
     rows: Floats = np.empty((frames, width))
     for frame in range(frames):
         words = next(lines, [])

@@ -20,6 +20,7 @@ LINE_LENGTH: Final = 25
 """Characters on a line of a box, before the text is wrapped."""
 FILLS: Final = ("#e0e7ff", "#dcfce7", "#fef3c7")
 """Colours of the boxes, by column."""
+_DASH: Final = ' stroke-dasharray="4 4"'
 
 
 @dataclass(frozen=True)
@@ -37,6 +38,8 @@ class Box:
     """Weight of that edge."""
     is_active: bool = True
     """False if an edge of weight 0 removes the node."""
+    negated: bool = False
+    """True for an action that must not happen; its box and the edge to it are dashed."""
 
     @property
     def height(self) -> float:
@@ -47,7 +50,8 @@ class Box:
 def graph_svg(graph: SemanticGraph) -> str:
     """Draw a graph as an SVG document; equal graphs give equal text.
 
-    A line's width grows with the weight of its edge. An edge of weight 0 is dashed and its node pale.
+    A line's width grows with the weight of its edge. An edge of weight 0 is dashed and its node pale. A negated action
+    has the label "not", and dashed lines lead to it and surround it.
     """
     y, boxes, edges = FIRST_ROW, [], []
     for action in graph.actions:
@@ -76,7 +80,8 @@ def _make_box(column: int, node: Action | Argument, is_active: bool) -> Box:
     """Make the box of a node, its y still to be set."""
     role = node.role if isinstance(node, Argument) else MOTION_ACTION
     label = role if node.weight == 1 else f"{role} ×{node.weight:g}"
-    return Box(column, 0.0, _wrap(node.text), label, node.weight, is_active)
+    negated = isinstance(node, Action) and node.negated
+    return Box(column, 0.0, _wrap(node.text), f"not {label}" if negated else label, node.weight, is_active, negated)
 
 
 def _document(title: str, elements: list[str], top: float, bottom: float) -> str:
@@ -95,7 +100,7 @@ def _document(title: str, elements: list[str], top: float, bottom: float) -> str
 
 def _draw_box(box: Box) -> str:
     x, top = COLUMNS[box.column], box.y - box.height / 2
-    opacity = "" if box.is_active else ' opacity="0.35"'
+    opacity, dash = "" if box.is_active else ' opacity="0.35"', _DASH if box.negated else ""
     rows = [(line, "#111827", 13) for line in box.lines]
     if box.label:
         rows.insert(0, (box.label, "#6b7280", 10))
@@ -106,7 +111,7 @@ def _draw_box(box: Box) -> str:
     )
     return (
         f'<g{opacity}><rect x="{x:g}" y="{top:g}" width="{BOX_WIDTH:g}" height="{box.height:g}" rx="8" '
-        f'fill="{FILLS[box.column]}" stroke="#9ca3af"/>{texts}</g>'
+        f'fill="{FILLS[box.column]}" stroke="#9ca3af"{dash}/>{texts}</g>'
     )
 
 
@@ -114,7 +119,7 @@ def _draw_edge(parent: Box, child: Box) -> str:
     """Draw a curve from the right of one box to the left of the other."""
     x0, x1 = COLUMNS[parent.column] + BOX_WIDTH, COLUMNS[child.column]
     middle = (x0 + x1) / 2
-    width, dash = min(6.0, 0.6 + 1.2 * child.weight), "" if child.weight else ' stroke-dasharray="4 4"'
+    width, dash = min(6.0, 0.6 + 1.2 * child.weight), _DASH if child.negated or not child.weight else ""
     return (
         f'<path d="M{x0:g} {parent.y:g} C{middle:g} {parent.y:g} {middle:g} {child.y:g} {x1:g} {child.y:g}" '
         f'fill="none" stroke="#6b7280" stroke-width="{width:g}"{dash}/>'

@@ -9,6 +9,7 @@ from __future__ import annotations
 import io
 import math
 import os
+import sys
 import zipfile
 import zlib
 from typing import TYPE_CHECKING, Any, Final
@@ -122,7 +123,10 @@ def _read_array(archive: zipfile.ZipFile, name: str) -> NDArray[Any]:
     shape, by_columns, dtype = np.lib.format.read_array_header_1_0(content)
     if dtype.hasobject or math.prod(shape) * dtype.itemsize != len(content.getbuffer()) - content.tell():
         raise ValueError(f"{name} does not hold the numbers that its header announces")
-    return np.ndarray(shape, dtype, content.read(), order="F" if by_columns else "C")
+    values = content.read()
+    if dtype.kind == "U" and (np.frombuffer(values, "<u4") > sys.maxunicode).any():
+        raise ValueError(f"{name} holds what is no text")
+    return np.ndarray(shape, dtype, values, order="F" if by_columns else "C")
 
 
 def _npy(array: NDArray[Any]) -> bytes:
