@@ -1,8 +1,8 @@
 """Hierarchical semantic graph of a caption (GraphMotion, section 3.1), with its JSON.
 
 Nodes are on three levels: the caption (motion), its actions, and their arguments (specifics). Weighted edges of twelve
-types (section B.1) lead from the motion node to the actions and from each action to its arguments. `kinegraph.edits`
-changes a graph.
+types (section B.1) lead from the motion node to the actions and from each action to its arguments. An action may be
+negated: it must not happen. `kinegraph.edits` changes a graph.
 """
 
 from __future__ import annotations
@@ -74,6 +74,8 @@ class Action:
     weight: float = 1.0
     """Weight of the edge from the motion node."""
     arguments: tuple[Argument, ...] = ()
+    negated: bool = False
+    """True for an action that must not happen ("without waving"); a graph may consist of such actions only."""
 
 
 @dataclass(frozen=True)
@@ -82,7 +84,7 @@ class SemanticGraph:
 
     Raises:
         InvalidGraphError: text that differs from the caption at its offsets, an unknown role, a weight that is
-            not in 0 to `MAX_WEIGHT`, no action, or more than `limits.MAX_NODES` nodes.
+            not in 0 to `MAX_WEIGHT`, `negated` that is no bool, no action, or more than `limits.MAX_NODES` nodes.
     """
 
     caption: str
@@ -100,6 +102,8 @@ class SemanticGraph:
             _check_node(action, self.caption, where)
             if type(action.order) is not int or not 0 <= action.order < MAX_NODES:
                 raise InvalidGraphError(f"{where}.order must be 0 to {MAX_NODES - 1}, not {action.order!r}")
+            if type(action.negated) is not bool:
+                raise InvalidGraphError(f"{where}.negated must be true or false, not {action.negated!r}")
             for argument_index, argument in enumerate(action.arguments):
                 argument_where = f"{where}.arguments[{argument_index}]"
                 _check_node(argument, self.caption, argument_where)
@@ -119,7 +123,10 @@ class SemanticGraph:
         return (*self.actions, *(argument for action in self.actions for argument in action.arguments))
 
     def to_dict(self) -> dict[str, Any]:
-        """Convert to plain values for JSON. An action's order is written only where it differs from its index."""
+        """Convert to plain values for JSON.
+
+        An action's order is written only where it differs from its index, `negated` only where it is true.
+        """
         actions = []
         for index, action in enumerate(self.actions):
             row: dict[str, Any] = {
@@ -130,6 +137,8 @@ class SemanticGraph:
             }
             if action.order != index:
                 row["order"] = action.order
+            if action.negated:
+                row["negated"] = True
             row["arguments"] = [
                 {
                     "role": argument.role,
@@ -171,7 +180,7 @@ class SemanticGraph:
 
 def _read_action(value: object, index: int) -> Action:
     where = f"actions[{index}]"
-    record = _check_record(value, where, {"text", "start", "end"}, {"weight", "order", "arguments"})
+    record = _check_record(value, where, {"text", "start", "end"}, {"weight", "order", "arguments", "negated"})
     items = _check_list(record.get("arguments", []), f"{where}.arguments")
     arguments = tuple(_read_argument(item, f"{where}.arguments[{number}]") for number, item in enumerate(items))
     return Action(**{"order": index, **record, "arguments": arguments})

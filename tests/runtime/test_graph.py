@@ -94,6 +94,8 @@ def test_any_text_survives_json(caption: str, data: st.DataObject) -> None:
         ({"arguments": [{"role": "ARG9", "text": "a", "start": 0, "end": 1}]}, "ARG9"),
         ({"arguments": [{"text": "a", "start": 0, "end": 1}]}, "role"),
         ({"arguments": ["a person"]}, "object"),
+        ({"negated": 1}, "negated"),
+        ({"negated": "true"}, "negated"),
         ({"text": None}, "text"),
         ({"colour": "red"}, "colour"),
     ],
@@ -130,6 +132,16 @@ def test_more_nodes_than_the_model_takes_are_refused() -> None:
 def test_an_invalid_graph_is_invalid_input() -> None:
     # One `except` catches both.
     assert issubclass(InvalidGraphError, InvalidInputError)
+
+
+def test_a_negated_action_says_so_in_json_and_any_other_says_nothing() -> None:
+    negated = dataclasses.replace(GRAPH, actions=(dataclasses.replace(GRAPH.actions[0], negated=True),))
+    assert json.loads(negated.to_json())["actions"][0]["negated"] is True
+    assert SemanticGraph.from_json(negated.to_json()) == negated != GRAPH  # nothing but a negated action is a graph
+    assert '"negated"' not in GRAPH.to_json()
+    assert SemanticGraph.from_dict(edited(negated=False)) == GRAPH
+    with pytest.raises(InvalidGraphError, match=r"actions\[0\]\.negated must be true or false, not None"):
+        dataclasses.replace(GRAPH, actions=(dataclasses.replace(GRAPH.actions[0], negated=None),))  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize("role", ARGUMENT_ROLES)
