@@ -19,7 +19,7 @@ COMMANDS = sorted(
 
 
 def test_there_are_commands_in_every_room() -> None:
-    assert len(COMMANDS) == 23
+    assert len(COMMANDS) >= 23
     assert {name.split(".")[1] for name in COMMANDS} == {"ablations", "quality", "run_all", "speed", "update_card"}
 
 
