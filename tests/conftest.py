@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Iterator
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Final
 
 import pytest
 
 from kinegraph import MotionPipeline
+from kinegraph.bundle import reader
 from support.playground import TEXT, PlaygroundClient, running_playground
 from support.toy import with_parser
 
@@ -39,11 +41,17 @@ def toy_bundle(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="session")
 def toy(toy_bundle: Path) -> MotionPipeline:
-    """The toy bundle, its parser loaded: float32, so identities hold to rounding."""
-    pytest.importorskip("spacy")
+    """The toy bundle, its parser loaded where spaCy is installed: in float32 identities hold to rounding."""
     pipeline = MotionPipeline.load(toy_bundle, threads=1)
-    pipeline.parse(TEXT)
+    if find_spec("spacy"):
+        pipeline.parse(TEXT)
     return pipeline
+
+
+@pytest.fixture
+def toy_by_default(toy_bundle: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let commands of this process that name no bundle load the toy."""
+    monkeypatch.setattr(reader, "DEFAULT_BUNDLE", toy_bundle)
 
 
 @pytest.fixture(scope="module")

@@ -13,10 +13,7 @@ import pytest
 
 from kinegraph import bench, cli
 from kinegraph.bundle.contract import LEVELS
-from kinegraph.bundle.reader import DEFAULT_BUNDLE
 from support.cli_runs import fails
-
-pytestmark = pytest.mark.skipif(not (DEFAULT_BUNDLE / "manifest.json").is_file(), reason="no default bundle")
 
 NUMPY_STAGES = {"joints", "write"}
 

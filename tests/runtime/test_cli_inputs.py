@@ -7,11 +7,10 @@ from pathlib import Path
 
 import pytest
 
-import kinegraph
 from kinegraph import MotionPipeline, cli
 from support.cli_runs import Parser, fails, not_loaded, whole
 
-RUNTIME = Path(kinegraph.__file__).resolve().parents[1]
+pytestmark = pytest.mark.usefixtures("toy_by_default")
 
 
 @pytest.mark.parametrize(

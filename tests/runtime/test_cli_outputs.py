@@ -19,6 +19,8 @@ from support.synthetic_bundle import bundle_files
 
 RUNTIME = Path(kinegraph.__file__).resolve().parents[1]
 
+pytestmark = pytest.mark.usefixtures("toy_by_default")
+
 
 def test_info_tells_licences_and_provenance(capsys: pytest.CaptureFixture[str], bundle: Path) -> None:
     assert cli.main(["info", "--bundle", str(bundle)]) == 0

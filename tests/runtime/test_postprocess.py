@@ -95,8 +95,8 @@ def test_a_bundle_may_carry_them_or_not(tmp_path: Path) -> None:
         read_bundle(write_bundle(tmp_path / "b", wrong))
 
 
-def test_bones_of_a_clip_do_not_stretch(pipe: MotionPipeline) -> None:
-    joints = pipe.generate("a person walks", seconds=2, seed=1).joints
+def test_bones_of_a_clip_do_not_stretch(toy: MotionPipeline) -> None:
+    joints = toy.generate("a person walks", seconds=2, seed=1).joints
     assert np.ptp(bone_lengths(joints), axis=0).max() < 1e-5
 
 

@@ -73,6 +73,7 @@ def test_in_place_takes_the_travel_and_nothing_else() -> None:
         np.testing.assert_allclose(canonical_poses(still), canonical_poses(joints), atol=1e-5)
 
 
+@pytest.mark.usefixtures("toy_by_default")
 def test_on_the_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     pytest.importorskip("spacy")
     words = ["generate", "a person walks", "--steps", "2", "--seconds", "2", "--seed", "1", "--quiet"]
