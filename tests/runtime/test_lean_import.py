@@ -8,7 +8,11 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 import kinegraph
+
+pytestmark = pytest.mark.with_extras  # what is not installed is easily not imported
 
 TELEMETRY = "ORT_DISABLE_TELEMETRY"
 RUNTIME = Path(kinegraph.__file__).resolve().parents[1]
