@@ -14,6 +14,7 @@ from kinegraph.diffusion.energy import EnergyMap, EnergyMaps, Plane, noise_field
 from kinegraph.diffusion.sampling import StepInfo, initial_noise
 from kinegraph.energy import axes_around, energy_maps
 from kinegraph.errors import NonFiniteError, OutputError
+from kinegraph.formats.energy_png import save_energy_maps
 from kinegraph.options import resolve_options
 from support.cli_runs import fails
 
@@ -191,24 +192,24 @@ def some_maps(count: int = 3, label: str = "a $5 walk") -> EnergyMaps:
 def test_the_picture_depends_on_the_maps_alone(count: int, tmp_path: Path) -> None:
     pytest.importorskip("matplotlib")
     for name in ("one.png", "two.png"):
-        some_maps(count).save(tmp_path / name)
+        save_energy_maps(some_maps(count), tmp_path / name)
     assert (tmp_path / "one.png").read_bytes() == (tmp_path / "two.png").read_bytes()
     assert (tmp_path / "one.png").read_bytes()[:4] == b"\x89PNG"
     with pytest.raises(OutputError, match="exists"):
-        some_maps().save(tmp_path / "one.png")
-    some_maps(label="word " * 100).save(tmp_path / "one.png", force=True)
+        save_energy_maps(some_maps(), tmp_path / "one.png")
+    save_energy_maps(some_maps(label="word " * 100), tmp_path / "one.png", force=True)
 
 
 def test_flat_maps_are_drawn(tmp_path: Path) -> None:
     pytest.importorskip("matplotlib")
     flat = EnergyMap("nothing", np.zeros((3, 3)), np.zeros(2), 0.0, 0.0)
-    EnergyMaps((flat,), np.arange(3.0), np.arange(3.0), 1).save(tmp_path / "flat.png")
+    save_energy_maps(EnergyMaps((flat,), np.arange(3.0), np.arange(3.0), 1), tmp_path / "flat.png")
 
 
 def test_without_matplotlib_the_way_out_is_named(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setattr("kinegraph.formats.find_spec", lambda package: None)
     with pytest.raises(MissingExtraError, match=r"kinegraph\[plot\]"):
-        some_maps().save(tmp_path / "one.png")
+        save_energy_maps(some_maps(), tmp_path / "one.png")
 
 
 @pytest.mark.parametrize(
@@ -241,5 +242,5 @@ def test_the_command_line_draws(toy: MotionPipeline, tmp_path: Path) -> None:
     target, picture = tmp_path / "x.npz", tmp_path / "energy.png"
     assert cli.main(["compose", *words, "-o", str(target), "--energy", str(picture)]) == 0
     wishes: dict[str, Any] = {"steps": 2, "seconds": 1, "seed": 3}
-    energy_maps(toy, [Concept(WALK), Concept(WAVE, 0.8)], **wishes).save(tmp_path / "again.png")
+    save_energy_maps(energy_maps(toy, [Concept(WALK), Concept(WAVE, 0.8)], **wishes), tmp_path / "again.png")
     assert target.is_file() and picture.read_bytes() == (tmp_path / "again.png").read_bytes()

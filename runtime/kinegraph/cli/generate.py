@@ -104,6 +104,7 @@ def compose(args: argparse.Namespace) -> int:
         clips = _make_one_by_one(make_clip, len(targets), sampling.seed, on_step)
         if args.energy is not None:
             from kinegraph.energy import energy_maps
+            from kinegraph.formats.energy_png import save_energy_maps
 
             maps = energy_maps(
                 pipeline,
@@ -118,7 +119,7 @@ def compose(args: argparse.Namespace) -> int:
                 guidance=sampling.guidance,
                 on_step=on_step,
             )
-            maps.save(args.energy, force=args.force)
+            save_energy_maps(maps, args.energy, force=args.force)
         return clips
 
     return _run(args, targets, make_clips)

@@ -13,7 +13,6 @@ the energy of a mixture of predictions is that mixture of their energies.
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Final
@@ -61,22 +60,6 @@ class EnergyMaps:
     """(GRID,) points along the second axis."""
     timestep: int
     """Timestep of the schedule at which the energies are taken."""
-
-    def save(self, path: str | os.PathLike[str], *, force: bool = False) -> None:
-        """Write a `.png`.
-
-        Raises:
-            OutputError: it cannot be written there; see `files.check_target`.
-            MissingExtraError: matplotlib is not installed (`pip install "kinegraph[plot]"`).
-        """
-        from kinegraph.files import check_target, write_atomically
-        from kinegraph.formats import check_installed
-
-        check_target(path, force, (".png",))
-        check_installed(".png")
-        from kinegraph.formats.energy_png import encode  # matplotlib is an extra
-
-        write_atomically(path, encode(self), force=force)
 
 
 @dataclass(frozen=True)

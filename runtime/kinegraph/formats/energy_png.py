@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import os
 import textwrap
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from kinegraph.files import check_target, write_atomically
+from kinegraph.formats import check_installed
 from kinegraph.formats.contact_sheet import GREY, png_bytes, title_line
 
 if TYPE_CHECKING:
@@ -19,6 +22,23 @@ PER_LINE: Final = 4
 BESIDE: Final = 0.05
 """Share of the map's side: a sample further from the plane is drawn hollow."""
 _OWN, _OTHERS = "#dc2626", "#fafafa"
+
+
+def save_energy_maps(energies: EnergyMaps, path: str | os.PathLike[str], *, force: bool = False) -> None:
+    """Write energy maps as a `.png`; the file appears complete or not at all.
+
+    Args:
+        energies: of `kinegraph.energy.energy_maps`.
+        path: file to write, in a folder that exists.
+        force: replace an existing file.
+
+    Raises:
+        OutputError: the file cannot be written there; see `files.check_target`.
+        MissingExtraError: matplotlib is not installed (`pip install "kinegraph[plot]"`).
+    """
+    check_target(path, force, (".png",))
+    check_installed(".png")
+    write_atomically(path, encode(energies), force=force)
 
 
 def encode(energies: EnergyMaps) -> bytes:
