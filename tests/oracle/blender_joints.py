@@ -48,8 +48,14 @@ def joints(armature: bpy.types.Object, names: list[str], frames: int) -> np.ndar
     return found
 
 
-def compared(path: Path, clip: dict[str, np.ndarray]) -> dict[str, float]:
-    """Distances in millimetres, and how long Blender takes the clip to be."""
+def rest_heights(armature: bpy.types.Object, names: list[str]) -> list[float]:
+    """Metres above the floor of the lowest joint and of the first one, the pelvis, in the rest pose."""
+    heights = [(armature.matrix_world @ armature.data.bones[name].head_local).z for name in names]
+    return [min(heights), heights[0]]
+
+
+def compared(path: Path, clip: dict[str, np.ndarray]) -> dict[str, object]:
+    """Distances in millimetres, how long Blender takes the clip to be, the rest pose, and all that is in the file."""
     armature = imported(path, float(clip["fps"]))
     seen = joints(armature, clip["joint_names"].tolist(), len(clip["joints"]))
     apart = np.linalg.norm(seen - clip["joints"], axis=-1) * 1000
@@ -61,6 +67,9 @@ def compared(path: Path, clip: dict[str, np.ndarray]) -> dict[str, float]:
         "max_mm": float(apart.max()),
         "frames": round(end - start) + 1,
         "skinned_vertices": sum(len(each.data.vertices) for each in skinned),
+        "rest_heights": rest_heights(armature, clip["joint_names"].tolist()),
+        "bones": [bone.name for bone in armature.data.bones],
+        "objects": sorted(each.name for each in bpy.data.objects),
     }
 
 

@@ -11,6 +11,8 @@ import numpy as np
 import pytest
 
 from kinegraph.clip import Clip
+from kinegraph.formats import NAMED
+from kinegraph.motion.skeleton import JOINT_NAMES
 from support.motions import recorded, walk
 from support.readers import GlbReader, blender, blender_problem, bvh_joints
 
@@ -18,12 +20,12 @@ ROOT = Path(__file__).resolve().parents[2]
 MEAN_MM, MAX_MM = 5.0, 15.0
 
 
-def saved(folder: Path, joints: np.ndarray) -> dict[str, Path]:
+def saved(folder: Path, joints: np.ndarray, root: bool = False) -> dict[str, Path]:
     """Save a clip as .npz, .glb and .bvh."""
     clip = Clip(joints=joints, fps=20.0, seed=1, text="a person walks", bundle="none")
     files = {suffix: folder / f"walk{suffix}" for suffix in (".npz", ".glb", ".bvh")}
-    for file in files.values():
-        clip.save(file)
+    for suffix, file in files.items():
+        clip.save(file, root=root and suffix in NAMED)
     return files
 
 
@@ -55,26 +57,43 @@ def test_two_readers_find_the_joints_where_the_clip_has_them(
     check({name: (float(each.mean()), float(each.max())) for name, each in apart.items()}, kind, figure)
 
 
-@pytest.mark.parametrize("kind", ["made", "recorded"])
-def test_blender_is_the_third(tmp_path: Path, kind: str, figure: Callable[[str], None]) -> None:
+@pytest.mark.parametrize(("kind", "root"), [("made", False), ("recorded", False), ("made", True)])
+def test_blender_is_the_third(tmp_path: Path, kind: str, root: bool, figure: Callable[[str], None]) -> None:
     joints = clip_of(kind)
-    report = blender(*saved(tmp_path, joints).values())
+    report = blender(*saved(tmp_path, joints, root).values())
     found = {
-        f"Blender {report['blender']} {suffix}": (report[suffix]["mean_mm"], report[suffix]["max_mm"])
+        f"Blender {report['blender']} {suffix}{' with a root joint' if root else ''}": (
+            report[suffix]["mean_mm"],
+            report[suffix]["max_mm"],
+        )
         for suffix in (".glb", ".bvh")
     }
-    assert all(report[suffix]["frames"] == len(joints) for suffix in (".glb", ".bvh"))
     check(found, kind, figure)
+    for suffix in (".glb", ".bvh"):
+        assert report[suffix]["frames"] == len(joints)
+        assert set(report[suffix]["bones"]) == {*JOINT_NAMES, *(["root"] if root else [])}
+        lowest, pelvis = report[suffix]["rest_heights"]
+        assert abs(lowest) < 1e-4 and 0.7 < pelvis < 1.1
     assert report[".glb"]["skinned_vertices"] > 1000
 
 
-def test_the_documented_fbx_comes_back_with_its_motion_and_its_body(tmp_path: Path) -> None:
+@pytest.mark.parametrize("root", [False, True])
+def test_the_documented_fbx_comes_back_with_its_motion_and_its_body_and_nothing_else(
+    tmp_path: Path, root: bool, figure: Callable[[str], None]
+) -> None:
     if blender_problem():
         pytest.skip(blender_problem())
-    files = saved(tmp_path, walk(50, turning=0.05))
+    files = saved(tmp_path, walk(50, turning=0.05), root)
     page = (ROOT / "docs" / "engines.md").read_text(encoding="utf-8")
     (command,) = re.findall(r"<!-- fbx -->\n```sh\n(.*?)```", page, flags=re.DOTALL)
     subprocess.run(["bash", "-euc", command], cwd=tmp_path, check=True, capture_output=True, timeout=200)
-    found = blender(files[".npz"], tmp_path / "walk.fbx")[".fbx"]
+    report = blender(files[".npz"], tmp_path / "walk.fbx")
+    found = report[".fbx"]
+    figure(
+        f"FBX of the recipe in Blender {report['blender']}, root {root}: {found['objects']}, {found['max_mm']:.2f} mm"
+    )
     assert found["mean_mm"] < MEAN_MM and found["max_mm"] < MAX_MM
     assert found["frames"] == 50 and found["skinned_vertices"] > 1000
+    assert found["objects"] == ["Armature", "body"]
+    assert set(found["bones"]) == {*JOINT_NAMES, *(["root"] if root else [])}
+    assert abs(found["rest_heights"][0]) < 1e-3
