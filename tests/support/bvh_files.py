@@ -103,7 +103,7 @@ def bvh_text(
     return "\n".join(["HIERARCHY", *lines(0), *motion]) + "\n", positions
 
 
-def folder_of(tmp_path: Path, files: dict[str, str], captions: dict[str, str] | None = None) -> list[str]:
+def write_bvh_folder(tmp_path: Path, files: dict[str, str], captions: dict[str, str] | None = None) -> list[str]:
     """Write a folder of BVH files with captions and return the arguments that prepare them."""
     for name, text in files.items():
         path = tmp_path / "bvh" / name
@@ -121,7 +121,7 @@ def folder_of(tmp_path: Path, files: dict[str, str], captions: dict[str, str] | 
     ]
 
 
-def prepared(tmp_path: Path, text: str, **options: object) -> np.ndarray:
+def prepare_joints(tmp_path: Path, text: str, **options: object) -> np.ndarray:
     """Prepare one BVH file: its joints (frames, 22, 3) in metres."""
     path = tmp_path / "one.bvh"
     path.write_text(text)

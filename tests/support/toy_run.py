@@ -26,7 +26,7 @@ def write_walks(folder: Path) -> None:
     write_data(folder, clips, 20)
 
 
-def stage(module: object, folder: Path, *more: str) -> None:
+def run_stage(module: object, folder: Path, *more: str) -> None:
     """Run one command of training on the data and the run in `folder`."""
     words = ["--data", str(folder / "data"), "--run", str(folder / "run"), "--preset", "tiny", "--threads", "1"]
     flags = ["--enable_progress_bar", "0", "--accelerator", "cpu"]
@@ -42,7 +42,7 @@ def train(folder: Path) -> None:
     """Write the data and train all stages; the denoisers stop half-way and the same command resumes them."""
     write_walks(folder / "data")
     for level in ("motion", "action", "specific"):
-        stage(train_vae, folder, "--level", level)
-    stage(train_denoisers, folder, "--assets", str(ASSETS), "--max_steps", "3", "--val_check_interval", "3")
+        run_stage(train_vae, folder, "--level", level)
+    run_stage(train_denoisers, folder, "--assets", str(ASSETS), "--max_steps", "3", "--val_check_interval", "3")
     assert steps_of(folder / "run" / "denoisers" / "last.ckpt") == 3
-    stage(train_denoisers, folder, "--assets", str(ASSETS))
+    run_stage(train_denoisers, folder, "--assets", str(ASSETS))

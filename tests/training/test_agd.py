@@ -36,7 +36,7 @@ class Case:
     parts: dict[str, torch.Tensor]
 
 
-def made(coarse_tokens: int, tokens: int, nodes: int, gamma: float, seed: int) -> Case:
+def make_case(coarse_tokens: int, tokens: int, nodes: int, gamma: float, seed: int) -> Case:
     torch.manual_seed(seed)
     coarse = LatentShape(coarse_tokens, CHANNELS) if coarse_tokens else None
     denoiser = Denoiser(CONFIG, LatentShape(tokens, CHANNELS), coarse).eval()
@@ -66,9 +66,9 @@ def energy(query: torch.Tensor, key: torch.Tensor, log_weight: torch.Tensor, gam
     size = WIDTH // HEADS
     beta = 1 / math.sqrt(size)
     for head in range(HEADS):
-        own = slice(head * size, (head + 1) * size)
+        span = slice(head * size, (head + 1) * size)
         for token in key:
-            total = total + gamma[0] * torch.logsumexp(beta * query[:, own] @ token[own], dim=0) / beta
+            total = total + gamma[0] * torch.logsumexp(beta * query[:, span] @ token[span], dim=0) / beta
     norms = torch.stack([token @ token / 2 for token in key])
     return total - gamma[1] * torch.logsumexp(norms + log_weight, dim=0)
 
@@ -108,9 +108,9 @@ def attended(
     (gradient,) = torch.autograd.grad(energy(query, key, log_weight, gamma), free)
     size, heads = WIDTH // HEADS, []
     for head in range(HEADS):
-        own = slice(head * size, (head + 1) * size)
-        share = torch.softmax(query[:, own] @ key[:, own].T / math.sqrt(size) + log_weight, dim=-1)
-        heads.append(share @ value[:, own])
+        span = slice(head * size, (head + 1) * size)
+        share = torch.softmax(query[:, span] @ key[:, span].T / math.sqrt(size) + log_weight, dim=-1)
+        heads.append(share @ value[:, span])
     moved = context.clone()
     for token in range(len(context) - case.coarse_tokens):
         if log_weight[token] > PADDING_BIAS / 2:
@@ -123,15 +123,15 @@ CASES = [(0, 2, 4, 4e-4, 1), (2, 4, 5, 1e-3, 2), (4, 8, 6, 1e-2, 3), (4, 8, 3, 0
 
 @pytest.mark.parametrize(("coarse", "tokens", "nodes", "gamma", "seed"), CASES)
 def test_the_step_is_autograd_of_the_energy(coarse: int, tokens: int, nodes: int, gamma: float, seed: int) -> None:
-    case = made(coarse, tokens, nodes, gamma, seed)
+    case = make_case(coarse, tokens, nodes, gamma, seed)
     with torch.no_grad():
-        found = AgdDenoiserGraph(AgdNoisePredictor(case.denoiser))(*case.parts.values())
+        output = AgdDenoiserGraph(AgdNoisePredictor(case.denoiser))(*case.parts.values())
         still = case.parts | {"gamma": torch.zeros(4, 2)}
         plain = AgdDenoiserGraph(AgdNoisePredictor(case.denoiser))(*still.values())
-    torch.testing.assert_close(found, reference(case), atol=1e-4, rtol=0)
-    assert not torch.allclose(found, plain, atol=1e-6)
+    torch.testing.assert_close(output, reference(case), atol=1e-4, rtol=0)
+    assert not torch.allclose(output, plain, atol=1e-6)
     # a row whose step sizes are 0 is the plain one
-    torch.testing.assert_close(found[0], plain[0], atol=1e-6, rtol=0)
+    torch.testing.assert_close(output[0], plain[0], atol=1e-6, rtol=0)
 
 
 def predicted(case: Case, shares: dict[int, float], gamma: tuple[float, float]) -> torch.Tensor:
@@ -165,7 +165,7 @@ def test_one_run_of_trained_modules_is_equations_7_to_10(
     mixture: CompositionWeights, gamma: tuple[float, float], coarse_tokens: int, tokens: int
 ) -> None:
     n, joint = len(mixture.concepts), len(mixture.joint)
-    case, scale, apart = made(coarse_tokens, tokens, 4, 0.0, n), 2.5, coarse_tokens > 0
+    case, scale, apart = make_case(coarse_tokens, tokens, 4, 0.0, n), 2.5, coarse_tokens > 0
     generator = torch.Generator().manual_seed(tokens)
     count = 2 + n + joint + len(mixture.negated)
     case.parts["context"] = torch.randn(count, 4 + coarse_tokens, WIDTH, generator=generator)
@@ -192,7 +192,7 @@ def test_one_run_of_trained_modules_is_equations_7_to_10(
     rows, context = len(plan.coefficients), torch.from_numpy(plan.routing.context)
     graph = AgdDenoiserGraph(AgdNoisePredictor(case.denoiser))
     with torch.no_grad():
-        found = graph(
+        output = graph(
             case.parts["latent"][:1].expand(rows, -1, -1),
             case.parts["modulation"][:1].expand(rows, -1, -1),
             case.parts["context"][context],
@@ -201,7 +201,7 @@ def test_one_run_of_trained_modules_is_equations_7_to_10(
             torch.from_numpy(plan.routing.combine),
             case.parts["bias"][context],
         )
-    np.testing.assert_allclose(combine_rows(found.numpy(), plan.coefficients)[0], expected.numpy(), atol=1e-4)
+    np.testing.assert_allclose(combine_rows(output.numpy(), plan.coefficients)[0], expected.numpy(), atol=1e-4)
 
 
 def nodes_of(seed: int) -> tuple[torch.Tensor, ...]:
@@ -216,19 +216,19 @@ def nodes_of(seed: int) -> tuple[torch.Tensor, ...]:
 
 @torch.no_grad()
 def test_without_step_sizes_it_is_the_plain_step() -> None:
-    case = made(2, 4, 5, 1.0, 6)
+    case = make_case(2, 4, 5, 1.0, 6)
     keys_values = list(ContextGraph(case.denoiser.context)(*nodes_of(6)))
     (context,) = AgdContextGraph(case.denoiser.context)(*nodes_of(6))
     parts = case.parts | {"context": context, "gamma": torch.zeros(4, 2)}
-    found = AgdDenoiserGraph(AgdNoisePredictor(case.denoiser))(*parts.values())
+    output = AgdDenoiserGraph(AgdNoisePredictor(case.denoiser))(*parts.values())
     rest = (parts[name] for name in ("src", "combine", "bias"))
     plain = DenoiserGraph(case.denoiser.step)(parts["latent"], parts["modulation"], keys_values, *rest)
-    torch.testing.assert_close(found, plain, atol=1e-5, rtol=0)
+    torch.testing.assert_close(output, plain, atol=1e-5, rtol=0)
 
 
 @torch.no_grad()
 def test_every_step_starts_from_the_context_it_is_given() -> None:
-    case = made(2, 4, 5, 0.05, 7)
+    case = make_case(2, 4, 5, 0.05, 7)
     graph, before = AgdDenoiserGraph(AgdNoisePredictor(case.denoiser)), case.parts["context"].clone()
     first, second = (graph(*case.parts.values()) for _ in range(2))
     assert torch.equal(first, second) and torch.equal(case.parts["context"], before)
@@ -236,7 +236,7 @@ def test_every_step_starts_from_the_context_it_is_given() -> None:
 
 @torch.no_grad()
 def test_padding_has_no_influence() -> None:
-    case = made(2, 4, 5, 0.05, 8)
+    case = make_case(2, 4, 5, 0.05, 8)
     other = case.parts | {"context": case.parts["context"].clone()}
     other["context"][1, 4] += 3.0
     graph = AgdDenoiserGraph(AgdNoisePredictor(case.denoiser))
@@ -254,21 +254,21 @@ def traces() -> Iterator[None]:
 
 @pytest.mark.parametrize("precision", ["fp32", "int8"])
 def test_the_exported_step_is_the_network_and_moves_its_context(precision: str) -> None:
-    case = made(2, 4, 5, 0.02, 9)
+    case = make_case(2, 4, 5, 0.02, 9)
     round_weights(case.denoiser)
     contract = denoiser_agd("action", LEVEL)
     data, parity = export_graph(AgdDenoiserGraph(AgdNoisePredictor(case.denoiser)), contract, 4, precision)  # type: ignore[arg-type]
     assert parity["step_action_agd"] <= 1e-4
     session = onnxruntime.InferenceSession(data, providers=["CPUExecutionProvider"])
-    (found,) = session.run(["noise"], {name: part.numpy() for name, part in case.parts.items()})
-    np.testing.assert_allclose(found, reference(case).numpy(), atol=1e-4 if precision == "fp32" else 0.1)
+    (output,) = session.run(["noise"], {name: part.numpy() for name, part in case.parts.items()})
+    np.testing.assert_allclose(output, reference(case).numpy(), atol=1e-4 if precision == "fp32" else 0.1)
     moved, still = ({name: part.numpy() for name, part in case.parts.items()} for _ in range(2))
     still["gamma"] = np.zeros_like(still["gamma"])
     assert np.abs(session.run(None, moved)[0] - session.run(None, still)[0]).max() > 1e-4
 
 
 def test_the_exported_context_is_what_keys_are_made_of() -> None:
-    case = made(2, 4, 5, 0.02, 9)
+    case = make_case(2, 4, 5, 0.02, 9)
     round_weights(case.denoiser)
     above = LevelSpec(2, CHANNELS, WIDTH, HEADS, LAYERS, ("motion",))
     contract = context_agd("action", LEVEL, 12, above)

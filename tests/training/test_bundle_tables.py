@@ -24,9 +24,9 @@ def body(size: float) -> np.ndarray:
 
 
 def test_bones_of_one_body_and_of_two() -> None:
-    one = common_bone_lengths([body(0.2), body(0.2)])
-    assert one is not None and one.shape == (1, 21) and one.dtype == np.float32
-    np.testing.assert_allclose(one[0], bone_lengths(body(0.2))[0], rtol=1e-6)
+    lengths = common_bone_lengths([body(0.2), body(0.2)])
+    assert lengths is not None and lengths.shape == (1, 21) and lengths.dtype == np.float32
+    np.testing.assert_allclose(lengths[0], bone_lengths(body(0.2))[0], rtol=1e-6)
     assert common_bone_lengths([body(0.2), body(0.25)]) is None
 
 
@@ -63,15 +63,15 @@ def test_clips_made_to_any_length_say_nothing_of_it() -> None:
 
     sentences = np.random.default_rng(1).standard_normal((60, 3))
     graphs = {f"caption {number}": graph(sentence) for number, sentence in enumerate(sentences)}
-    known = CaptionGraphs({}, np.zeros(1), np.zeros(0), np.zeros(0), np.zeros(0), [])
-    object.__setattr__(known, "get", graphs.get)
+    captions = CaptionGraphs({}, np.zeros(1), np.zeros(0), np.zeros(0), np.zeros(0), [])
+    object.__setattr__(captions, "get", graphs.get)
 
     def clips(frames: int, *, any_length: bool) -> list[MotionClip]:
         joints = np.tile(np.arange(66, dtype=np.float32).reshape(22, 3), (frames, 1, 1))
         return [MotionClip("id", joints, (name,), ("walk",), "normal", any_length=any_length) for name in graphs]
 
     def fit(train: list[MotionClip]) -> np.ndarray:
-        return measure_tables(Dataset(train, [], np.zeros(137), np.ones(137)), known)[DURATION]
+        return measure_tables(Dataset(train, [], np.zeros(137), np.ones(137)), captions)[DURATION]
 
     usual = clips(80, any_length=False)
     np.testing.assert_array_equal(fit(usual + clips(30, any_length=True)), fit(usual))

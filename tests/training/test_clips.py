@@ -89,8 +89,8 @@ def test_phrases_of_an_image_are_the_images_of_the_phrases() -> None:
 def test_counted_captions_say_what_was_counted_and_mirror_like_the_rest(content: str) -> None:
     rng = np.random.Generator(np.random.PCG64(3))
     for steps, word in ((2, "two"), (7, "seven"), (12, "twelve")):
-        made = step_count_captions(content, steps, "proud", rng)
-        assert len(made) == 2 and all(re.search(rf"\b{word}\b.* steps?\b", caption) for caption in made)
+        captions = step_count_captions(content, steps, "proud", rng)
+        assert len(captions) == 2 and all(re.search(rf"\b{word}\b.* steps?\b", caption) for caption in captions)
     ways = {mirrored_caption(way) for way in COUNTED_STEPS[content]}
     assert ways == set(COUNTED_STEPS[mirrored_label(content)])
 
@@ -102,9 +102,9 @@ def test_what_cannot_be_counted_is_not_said(content: str, steps: int | None) -> 
 
 def test_clips_keep_their_captions_beside_the_counted_ones() -> None:
     clip = MotionClip("c1", walk(20), ("a person walks.",), ("walk",), "normal", steps=4)
-    (found,) = add_step_counts([clip], seed=1)
-    assert found.captions[0] == "a person walks." and len(found.captions) == 3
-    assert found == add_step_counts([clip], seed=1)[0] != add_step_counts([clip], seed=2)[0]
+    (counted,) = add_step_counts([clip], seed=1)
+    assert counted.captions[0] == "a person walks." and len(counted.captions) == 3
+    assert counted == add_step_counts([clip], seed=1)[0] != add_step_counts([clip], seed=2)[0]
 
 
 def test_joints_change_names_and_the_sign_of_x() -> None:

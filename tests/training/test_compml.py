@@ -91,7 +91,7 @@ def words(data: Path, out: Path, *more: str) -> list[str]:
 
 @dataclass
 class Stub:
-    """A pipeline that hands out given motions."""
+    """Pipeline that returns listed motions, one after another."""
 
     motions: list[np.ndarray] = field(default_factory=list)
     asked: list[dict[str, Any]] = field(default_factory=list)
@@ -102,17 +102,17 @@ class Stub:
         return SimpleNamespace(joints=self.motions[min(len(self.asked), len(self.motions)) - 1])
 
 
-def composer(data: Path, *motions: np.ndarray) -> compml.Composer:
+def stub_composer(data: Path, *motions: np.ndarray) -> compml.Composer:
     return compml.make_composer(Stub(list(motions)), data, data / "held_out.json", 5)  # type: ignore[arg-type]
 
 
 def test_only_what_was_recorded_and_is_not_held_out_is_composed(data: Path) -> None:
-    own = composer(data)
-    requests = [own.draw_request(number, 0) for number in range(300)]
+    composer = stub_composer(data)
+    requests = [composer.draw_request(number, 0) for number in range(300)]
     never = {frozenset(pair) for pair in HELD["together"]}
     never |= {frozenset(map(mirrored_label, pair)) for pair in never}
-    found = {frozenset(request.actions) for request in requests}
-    assert not found & never and len(found) > 4
+    pairs = {frozenset(request.actions) for request in requests}
+    assert not pairs & never and len(pairs) > 4
     recorded = {(content, style): len(joints) for content, style, joints in RECORDED}
     for request in requests:
         first, second = request.actions
@@ -124,7 +124,7 @@ def test_only_what_was_recorded_and_is_not_held_out_is_composed(data: Path) -> N
     # The manner is said of each action, and clips are drawn independently of one another.
     assert all("happ" in " ".join(request.concepts) for request in requests if request.style == "happy")
     assert len({request.seed for request in requests}) == 300
-    assert own.draw_request(17, 0) == requests[17] != own.draw_request(17, 1)
+    assert composer.draw_request(17, 0) == requests[17] != composer.draw_request(17, 1)
 
 
 def test_data_without_two_actions_that_go_together_are_refused(data: Path, tmp_path: Path) -> None:
@@ -151,43 +151,43 @@ def shaking(size: float) -> np.ndarray:
 def test_a_clip_that_jerks_or_skates_is_drawn_again(data: Path) -> None:
     calm = waving(40, 16)
     sliding = walk(40, speed=0.5)
-    own = composer(data, shaking(0.5), sliding, calm)
-    request, joints, redrawn = own.compose(3)
+    composer = stub_composer(data, shaking(0.5), sliding, calm)
+    request, joints, redrawn = composer.compose(3)
     assert redrawn == 2 and joints is calm
-    assert request == own.draw_request(3, 2)
-    assert own.pipe.asked[-1] == {  # type: ignore[attr-defined]
+    assert request == composer.draw_request(3, 2)
+    assert composer.pipe.asked[-1] == {  # type: ignore[attr-defined]
         "concepts": request.concepts, "text": request.captions[0], "seconds": request.seconds, "seed": request.seed,
     }  # fmt: skip
 
 
 def test_the_limit_is_the_worse_of_both_actions(data: Path) -> None:
-    own = composer(data)
+    composer = stub_composer(data)
     highest = {c: max(jerk(j) for content, _, j in RECORDED if content == c) for c, _, _ in RECORDED}
-    found = {content: row[0] for content, row in own.highest.items()}
-    assert found == pytest.approx(highest, rel=0.1)  # joints are stored to 0.1 mm
+    measured = {content: row[0] for content, row in composer.highest.items()}
+    assert measured == pytest.approx(highest, rel=0.1)  # joints are stored to 0.1 mm
     pair = ("wave-left-hand", "walk")
     sizes = np.geomspace(1e-5, 1e-1, 400)
-    times = np.array([jerk(shaking(size)) for size in sizes]) / max(highest[each] for each in pair)
+    times = np.array([jerk(shaking(size)) for size in sizes]) / max(highest[action] for action in pair)
     below, above = sizes[times < 1.4][-1], sizes[times > 1.6][0]
-    assert own.is_clean(shaking(below), pair) and not own.is_clean(shaking(above), pair)
+    assert composer.is_clean(shaking(below), pair) and not composer.is_clean(shaking(above), pair)
 
 
 def test_hands_that_hardly_move_are_no_gesture(data: Path) -> None:
-    own = composer(data)
+    composer = stub_composer(data)
     kind = ("wave-left-hand", "normal")
-    assert kind in own.slowest
+    assert kind in composer.slowest
     recorded = next(joints for content, style, joints in RECORDED if (content, style) == kind)
-    assert own.slowest[kind] == pytest.approx(hand_speed(recorded), rel=0.02)
-    faint = recorded[:1] + 0.6 * (recorded - recorded[:1])
-    assert own.is_lively(recorded, kind) and own.is_lively(recorded[:1] + 0.8 * (recorded - recorded[:1]), kind)
-    assert not own.is_lively(faint, kind)
+    assert composer.slowest[kind] == pytest.approx(hand_speed(recorded), rel=0.02)
+    faint, calm = (recorded[:1] + size * (recorded - recorded[:1]) for size in (0.6, 0.8))
+    assert composer.is_lively(recorded, kind) and composer.is_lively(calm, kind)
+    assert not composer.is_lively(faint, kind)
 
 
 def test_a_clip_that_is_never_clean_is_left_out_and_counted(data: Path, tmp_path: Path) -> None:
-    own = composer(data, shaking(0.5))
+    composer = stub_composer(data, shaking(0.5))
     out = tmp_path / "out"
     compml.claim_folder(out, {"seed": 5})
-    counts = compml.compose_all(own, out, 2, 1)
+    counts = compml.compose_all(composer, out, 2, 1)
     assert counts == {"clips": 0, "left_out": 2, "rejected": 2 * compml.ATTEMPTS}
     assert read_split(out, "train") == []
 

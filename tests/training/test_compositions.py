@@ -103,8 +103,8 @@ def test_held_out_pairs_are_never_made_nor_their_mirror_images(tmp_path: Path) -
     path = tmp_path / "held_out.json"
     path.write_text(json.dumps(listed), encoding="utf-8")
     held_out = HeldOut.read(path)
-    splices = {made.action for made in make_splices(pool(), 80, held_out, 1)}
-    sequences = {made.action for made in make_sequences(pool(), 150, held_out, 1, 196)}
+    splices = {composition.action for composition in make_splices(pool(), 80, held_out, 1)}
+    sequences = {composition.action for composition in make_sequences(pool(), 150, held_out, 1, 196)}
     assert not splices & {"walk+raise-up-left-hand", "walk+raise-up-right-hand"}
     assert "run+raise-up-left-hand" in splices
     forbidden = {"run>walk-turn-left", "run>walk-turn-right", "raise-up-left-hand>walk", "raise-up-right-hand>walk"}
@@ -112,15 +112,15 @@ def test_held_out_pairs_are_never_made_nor_their_mirror_images(tmp_path: Path) -
     # The other order of a pair that is held out in one order is allowed.
     assert "walk>raise-up-left-hand" in sequences
     # Without the list they are all made: the test can fail.
-    assert {"walk+raise-up-left-hand"} <= {made.action for made in make_splices(pool(), 80, NOTHING, 1)}
-    assert forbidden & {made.action for made in make_sequences(pool(), 150, NOTHING, 1, 196)}
+    assert {"walk+raise-up-left-hand"} <= {composition.action for composition in make_splices(pool(), 80, NOTHING, 1)}
+    assert forbidden & {composition.action for composition in make_sequences(pool(), 150, NOTHING, 1, 196)}
 
 
 def test_captions_name_both_actions_in_their_order() -> None:
-    for made in make_sequences(pool(), 40, NOTHING, 2, 196):
-        first, second = made.actions
+    for composition in make_sequences(pool(), 40, NOTHING, 2, 196):
+        first, second = composition.actions
         if {first, second} == {"run", "raise-up-left-hand"}:
-            for caption in made.captions:
+            for caption in composition.captions:
                 run = max(caption.find(word) for word in ("run", "jog"))
                 hand = max(caption.find(word) for word in ("hand", "arm"))
                 assert run >= 0 and hand >= 0
@@ -129,9 +129,9 @@ def test_captions_name_both_actions_in_their_order() -> None:
 
 def test_the_seed_decides() -> None:
     first, again, other = (make_splices(pool(), 12, NOTHING, seed) for seed in (5, 5, 6))
-    for one, two in zip(first, again, strict=True):
-        assert one.captions == two.captions and one.joints.tobytes() == two.joints.tobytes()
-    assert [made.captions for made in first] != [made.captions for made in other]
+    for a, b in zip(first, again, strict=True):
+        assert a.captions == b.captions and a.joints.tobytes() == b.joints.tobytes()
+    assert [composition.captions for composition in first] != [composition.captions for composition in other]
 
 
 def test_the_real_list_is_obeyed_on_real_clips() -> None:
@@ -146,8 +146,8 @@ def test_the_real_list_is_obeyed_on_real_clips() -> None:
     splices = make_splices(clips, 200, held_out, 7)
     sequences = make_sequences(clips, 200, held_out, 7, 196)
     assert len(splices) == len(sequences) == 200
-    assert not {frozenset(made.actions) for made in splices} & together
-    assert not {made.actions for made in sequences} & ordered
+    assert not {frozenset(composition.actions) for composition in splices} & together
+    assert not {composition.actions for composition in sequences} & ordered
 
 
 def test_mirroring_exchanges_sides_in_motion_label_and_caption() -> None:

@@ -20,10 +20,10 @@ LATENT, COARSE = LatentShape(4, 6), LatentShape(2, 5)
 @pytest.fixture
 def denoiser() -> Denoiser:
     torch.manual_seed(1)
-    made = Denoiser(CONFIG, LATENT, COARSE).eval()
+    denoiser = Denoiser(CONFIG, LATENT, COARSE).eval()
     # As trained: at the start neither step nor length says anything.
-    torch.nn.init.normal_(made.clock.out.weight, std=0.3)
-    return made
+    torch.nn.init.normal_(denoiser.clock.out.weight, std=0.3)
+    return denoiser
 
 
 def inputs(rows: int = 3, nodes: int = 5) -> dict[str, torch.Tensor]:
@@ -56,8 +56,8 @@ def test_the_exported_form_of_a_step_is_the_trained_one(denoiser: Denoiser) -> N
     modulation = clock[1, 1].expand(3, -1, -1)
     bias = parts["bias"][:, None, None, :].expand(-1, -1, 4, -1)
     flat = [part for pair in context for part in pair]
-    found = DenoiserGraph(denoiser.step)(parts["latent"], modulation, flat, torch.arange(3), torch.eye(3), bias)
-    torch.testing.assert_close(found, noise(denoiser, **parts), atol=1e-5, rtol=0)
+    output = DenoiserGraph(denoiser.step)(parts["latent"], modulation, flat, torch.arange(3), torch.eye(3), bias)
+    torch.testing.assert_close(output, noise(denoiser, **parts), atol=1e-5, rtol=0)
 
 
 @torch.no_grad()
@@ -102,9 +102,9 @@ def test_the_clock_scales_and_shifts_what_is_normalised(denoiser: Denoiser) -> N
     pair = tuple(torch.randn(2, 2, 2, 5, 8, generator=generator))
     pieces = list(torch.randn(6, 2, 1, 16, generator=generator))
 
-    def read(x: torch.Tensor, place: int) -> torch.Tensor:
+    def read(x: torch.Tensor, index: int) -> torch.Tensor:
         deviation = torch.sqrt(x.var(dim=-1, keepdim=True, unbiased=False) + 1e-5)
-        return (x - x.mean(dim=-1, keepdim=True)) / deviation * pieces[2 * place] + pieces[2 * place + 1]
+        return (x - x.mean(dim=-1, keepdim=True)) / deviation * pieces[2 * index] + pieces[2 * index + 1]
 
     expected = x + layer.self_attention(read(x, 0), None)
     expected = expected + layer.cross_attention(read(expected, 1), *pair, bias, None)

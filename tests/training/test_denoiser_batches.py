@@ -33,7 +33,7 @@ def graph(parents: list[int], actions: int, seed: int = 0) -> GraphArrays:
     relation = np.full((count, count), -1, dtype=np.int64)
     np.fill_diagonal(relation, 11)
     edges = [(0, action, 10) for action in range(1, actions + 1)]
-    edges += [(parent, 1 + actions + place, place % 5) for place, parent in enumerate(parents)]
+    edges += [(parent, 1 + actions + index, index % 5) for index, parent in enumerate(parents)]
     for parent, child, kind in edges:
         relation[parent, child] = relation[child, parent] = kind
     return GraphArrays(
@@ -60,8 +60,8 @@ class Masked:
     """The same two with other features, to be told apart by."""
 
     def get(self, caption: str) -> GraphArrays:
-        known = Captions().get(caption)
-        return replace(known, nodes=np.full_like(known.nodes, 7.0))
+        arrays = Captions().get(caption)
+        return replace(arrays, nodes=np.full_like(arrays.nodes, 7.0))
 
 
 def batches(*, augment: bool, seed: int = 0, masked: object = None) -> DenoiserBatches:
@@ -79,9 +79,9 @@ def batches(*, augment: bool, seed: int = 0, masked: object = None) -> DenoiserB
                        torch.ones(shape))
         for level, shape in SHAPES.items()
     }  # fmt: skip
-    known: Any = Captions()
-    other: Any = masked
-    return DenoiserBatches(dataset, latents, known, seed=seed, augment=augment, masked=other)
+    graphs: Any = Captions()
+    masked_graphs: Any = masked
+    return DenoiserBatches(dataset, latents, graphs, seed=seed, augment=augment, masked=masked_graphs)
 
 
 @pytest.fixture(scope="module")
@@ -111,9 +111,9 @@ def test_the_coarser_latent_is_noisy_in_training_and_the_target_is_not(many: Den
 
 
 def test_some_samples_have_their_verbs_masked_in_training_only() -> None:
-    found = batches(augment=True, masked=Masked())([0, 1] * 2000)
-    told = (found.graph.nodes[:, 0] == 7.0).all(dim=1)
-    assert float(told.double().mean()) == pytest.approx(VERB_MASKING, abs=0.02)
+    batch = batches(augment=True, masked=Masked())([0, 1] * 2000)
+    without_verbs = (batch.graph.nodes[:, 0] == 7.0).all(dim=1)
+    assert float(without_verbs.double().mean()) == pytest.approx(VERB_MASKING, abs=0.02)
     assert not (batches(augment=False, masked=Masked())([0, 1] * 20).graph.nodes == 7.0).any()
 
 
@@ -153,14 +153,14 @@ def test_a_dropped_node_is_a_node_that_is_not_there(seed: int, monkeypatch: pyte
     monkeypatch.setattr(denoiser_batches, "SPECIFIC_DROPOUT", 0.4)
     torch.manual_seed(0)
     encoder = GraphEncoder(WIDTH)
-    found, kept = drop_nodes(LARGE, np.random.default_rng(seed))
-    left = np.flatnonzero(kept)
+    dropped, visible = drop_nodes(LARGE, np.random.default_rng(seed))
+    left = np.flatnonzero(visible)
     # Specifics 3 | 4, 5 hang below actions 1 | 2 and never outlive them.
-    assert not (kept[3] and not kept[1]) and not ((kept[4] or kept[5]) and not kept[2])
-    np.testing.assert_array_equal(found.order, LARGE.order)
+    assert not (visible[3] and not visible[1]) and not ((visible[4] or visible[5]) and not visible[2])
+    np.testing.assert_array_equal(dropped.order, LARGE.order)
     with torch.no_grad():
-        whole = encoder(*(torch.from_numpy(part)[None] for part in (found.nodes, found.relation, found.edge_weight)),
-                        torch.ones(1, 6))  # fmt: skip
+        arrays = (dropped.nodes, dropped.relation, dropped.edge_weight)
+        whole = encoder(*(torch.from_numpy(part)[None] for part in arrays), torch.ones(1, 6))
         cut = (LARGE.nodes[left], LARGE.relation[np.ix_(left, left)], LARGE.edge_weight[np.ix_(left, left)])
         alone = encoder(*(torch.from_numpy(part)[None] for part in cut), torch.ones(1, len(left)))
     torch.testing.assert_close(whole[:, left], alone, atol=1e-6, rtol=0)
@@ -170,8 +170,8 @@ def test_some_seed_drops_something(monkeypatch: pytest.MonkeyPatch) -> None:
     # Or the test above would say nothing.
     monkeypatch.setattr(denoiser_batches, "ACTION_DROPOUT", 0.5)
     kept = [drop_nodes(LARGE, np.random.default_rng(seed))[1] for seed in range(6)]
-    assert len({int(each[1:].sum()) for each in kept}) > 1
-    assert {bool(each[0]) for each in kept} == {True, False}
+    assert len({int(nodes[1:].sum()) for nodes in kept}) > 1
+    assert {bool(nodes[0]) for nodes in kept} == {True, False}
 
 
 def level_loss(module: DenoiserModule, level: str, nodes: torch.Tensor, batch: DenoiserBatch, timestep: torch.Tensor,
@@ -225,8 +225,8 @@ def test_a_sample_does_not_know_its_neighbours(module: DenoiserModule, level: st
     noise = torch.randn(2, *SHAPES[level], generator=torch.Generator().manual_seed(4))
     with torch.no_grad():
         first = level_loss(module, level, module.hierarchy.encode(both.graph), both, torch.tensor([30, 5]), noise)
-        own = level_loss(module, level, module.hierarchy.encode(alone.graph), alone, torch.tensor([30]), noise[:1])
-    torch.testing.assert_close(first[:1], own, atol=1e-6, rtol=0)
+        expected = level_loss(module, level, module.hierarchy.encode(alone.graph), alone, torch.tensor([30]), noise[:1])
+    torch.testing.assert_close(first[:1], expected, atol=1e-6, rtol=0)
 
 
 def test_the_loss_is_that_of_the_noise_in_a_noised_latent(

@@ -18,29 +18,29 @@ from support.toy_run import ASSETS, steps_of, write_walks
 TOGETHER = ("--accelerator", "cpu", "--devices", "2", "--strategy", "ddp", "--enable_progress_bar", "0")
 
 
-def trained_by_two(module: str, folder: Path, *words: str) -> str:
-    """What a stage prints that two processes train."""
-    own = ("--data", folder / "data", "--run", folder / "run", "--preset", "tiny", "--threads", "1")
-    command = [sys.executable, "-m", f"kinegraph_training.{module}", *map(str, own), *words, *TOGETHER]
+def train_with_two_processes(module: str, folder: Path, *words: str) -> str:
+    """Train a stage with two processes; returns what they print."""
+    arguments = ("--data", folder / "data", "--run", folder / "run", "--preset", "tiny", "--threads", "1")
+    command = [sys.executable, "-m", f"kinegraph_training.{module}", *map(str, arguments), *words, *TOGETHER]
     paths = os.pathsep.join(part for part in sys.path if part)
-    done = subprocess.run(
+    result = subprocess.run(
         command, capture_output=True, text=True, timeout=300, env=os.environ | {"PYTHONPATH": paths}, check=False
     )
-    assert done.returncode == 0, done.stderr[-2000:]
-    return done.stdout + done.stderr
+    assert result.returncode == 0, result.stderr[-2000:]
+    return result.stdout + result.stderr
 
 
 @pytest.mark.skipif(not torch.distributed.is_available(), reason="this torch cannot train in several processes")
 def test_two_processes_train_every_stage(tmp_path: Path) -> None:
     write_walks(tmp_path / "data")
     for level in ("motion", "action", "specific"):
-        said = trained_by_two("train_vae", tmp_path, "--level", level)
-    trained_by_two("train_denoisers", tmp_path, "--assets", str(ASSETS))
-    assert "MEMBER: 2/2" in said, "two processes there were"
+        output = train_with_two_processes("train_vae", tmp_path, "--level", level)
+    train_with_two_processes("train_denoisers", tmp_path, "--assets", str(ASSETS))
+    assert "MEMBER: 2/2" in output, "two processes there were"
     for stage in ("vae_specific", "denoisers"):
-        found = tmp_path / "run" / stage / "last.ckpt"
-        assert steps_of(found) == 6
-        weights = torch.load(found, weights_only=True)["state_dict"].values()
+        checkpoint = tmp_path / "run" / stage / "last.ckpt"
+        assert steps_of(checkpoint) == 6
+        weights = torch.load(checkpoint, weights_only=True)["state_dict"].values()
         assert all(torch.isfinite(value).all() for value in weights)
 
 

@@ -46,9 +46,9 @@ def test_padding_has_no_influence_and_vectors_have_unit_length() -> None:
     features, mask = torch.randn(1, 24, 137), torch.ones(1, 24)
     wide = torch.cat([features, torch.full((1, 8, 137), 9.0)], dim=1)
     wide_mask = torch.cat([mask, torch.zeros(1, 8)], dim=1)
-    found = encoder(wide, wide_mask)
-    torch.testing.assert_close(found, encoder(features, mask), atol=1e-5, rtol=0)
-    assert float(found.norm()) == pytest.approx(1.0, abs=1e-5)
+    embedding = encoder(wide, wide_mask)
+    torch.testing.assert_close(embedding, encoder(features, mask), atol=1e-5, rtol=0)
+    assert float(embedding.norm()) == pytest.approx(1.0, abs=1e-5)
 
 
 def data(folder: Path) -> None:
@@ -72,14 +72,14 @@ def test_trained_saved_and_used_without_torch(tmp_path: Path, monkeypatch: pytes
     evaluator = Evaluator(tmp_path / "out")
     assert evaluator.version == "7"
     clips = [walk(40), walk(61), walk(196)]
-    found = evaluator.embed_motions(clips)
-    assert found.shape == (3, 64)
+    embeddings = evaluator.embed_motions(clips)
+    assert embeddings.shape == (3, 64)
     # A batch of clips of other lengths changes nothing.
-    np.testing.assert_allclose(found[1], evaluator.embed_motions([clips[1]])[0], atol=1e-5)
+    np.testing.assert_allclose(embeddings[1], evaluator.embed_motions([clips[1]])[0], atol=1e-5)
     motion, _, mean, std = read_evaluator(tmp_path / "run")
     rows = torch.from_numpy((features_from_joints(clips[0]) - mean) / std)[None]
     with torch.no_grad():
-        np.testing.assert_allclose(found[0], motion(rows, torch.ones(1, 40))[0].numpy(), atol=1e-4)
+        np.testing.assert_allclose(embeddings[0], motion(rows, torch.ones(1, 40))[0].numpy(), atol=1e-4)
     captions = evaluator.embed_captions(["a person walks", "a person runs", "a person walks"])
     np.testing.assert_allclose(captions[0], captions[2], atol=1e-6)
     (tmp_path / "out" / "motion.onnx").write_bytes(b"another")

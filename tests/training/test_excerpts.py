@@ -27,25 +27,27 @@ def clip(content: str, frames: int, style: str = "normal") -> MotionClip:
 
 
 def test_they_have_every_length_and_say_nothing_of_numbers() -> None:
-    found = make_excerpts([clip("walk", 160), clip("run", 50, "active")], 60, 3, 190)
-    lengths = np.array([len(each.joints) for each in found])
+    excerpts = make_excerpts([clip("walk", 160), clip("run", 50, "active")], 60, 3, 190)
+    lengths = np.array([len(excerpt.joints) for excerpt in excerpts])
     assert lengths.min() >= SHORTEST and lengths.max() <= 190
     assert all(((lengths >= low) & (lengths < low + 30)).any() for low in (30, 60, 90, 120))
-    assert {each.action for each in found} == {"walk", "run"} and len({each.id for each in found}) == 60
-    for each in found:
-        assert each.any_length and each.steps is None and len(each.captions) == 3
-        assert not any(word in caption for caption in each.captions for word in ("steps", "meters"))
-        np.testing.assert_allclose(each.joints[0, 0, [0, 2]], 0.0, atol=1e-5)
-        assert abs(facing_angle(each.joints)[0]) < 1e-3
+    assert {excerpt.action for excerpt in excerpts} == {"walk", "run"} and len(
+        {excerpt.id for excerpt in excerpts}
+    ) == 60
+    for excerpt in excerpts:
+        assert excerpt.any_length and excerpt.steps is None and len(excerpt.captions) == 3
+        assert not any(word in caption for caption in excerpt.captions for word in ("steps", "meters"))
+        np.testing.assert_allclose(excerpt.joints[0, 0, [0, 2]], 0.0, atol=1e-5)
+        assert abs(facing_angle(excerpt.joints)[0]) < 1e-3
 
 
 def test_what_goes_on_for_longer_does_not_jump() -> None:
     short = [clip("run", 60)]
-    longer = [each for each in make_excerpts(short, 30, 1, 110) if len(each.joints) > 60]
+    longer = [excerpt for excerpt in make_excerpts(short, 30, 1, 110) if len(excerpt.joints) > 60]
     assert longer
-    for each in longer:
-        assert peak_accelerations(each.joints, 20).max() < 1.7 * peak_accelerations(short[0].joints, 20).max()
-        assert np.ptp(bone_lengths(each.joints), axis=0).max() < 5e-3
+    for excerpt in longer:
+        assert peak_accelerations(excerpt.joints, 20).max() < 1.7 * peak_accelerations(short[0].joints, 20).max()
+        assert np.ptp(bone_lengths(excerpt.joints), axis=0).max() < 5e-3
 
 
 def test_turns_and_gestures_are_left_whole() -> None:
@@ -64,9 +66,9 @@ def test_a_preset_asks_for_them(tmp_path: Path) -> None:
         for count in (0, 20)
     )
     assert len(without) == len(more) - 60
-    walks = [each for each in read_split(data, "train") if each.action == "walk"]
-    straight = [each for each in more if each.id.startswith("excerpt") and each.action == "walk"]
-    assert not any("elderly" in each.style for each in more if each.id.startswith(("excerpt", "pace")))
-    assert straight and max(np.ptp(facing_angle(each.joints)) for each in straight) <= 0.2 + max(
-        np.ptp(facing_angle(each.joints)) for each in walks
+    walks = [walk_clip for walk_clip in read_split(data, "train") if walk_clip.action == "walk"]
+    straight = [walk_clip for walk_clip in more if walk_clip.id.startswith("excerpt") and walk_clip.action == "walk"]
+    assert not any("elderly" in walk_clip.style for walk_clip in more if walk_clip.id.startswith(("excerpt", "pace")))
+    assert straight and max(np.ptp(facing_angle(walk_clip.joints)) for walk_clip in straight) <= 0.2 + max(
+        np.ptp(facing_angle(walk_clip.joints)) for walk_clip in walks
     )

@@ -81,11 +81,11 @@ def test_weight_zero_is_an_edge_that_is_not_there(encoder: GraphEncoder) -> None
 def test_towards_weight_zero_nothing_jumps(encoder: GraphEncoder) -> None:
     nodes, relation, weight = random_graph(np.random.default_rng(1), 6)
     relation[0, 3] = relation[3, 0] = 4
-    found = []
+    outputs = []
     for value in (0.0, 1e-30, 1e-6):
         weight[0, 3] = weight[3, 0] = value
-        found.append(run(encoder, nodes, relation, weight))
-    np.testing.assert_allclose(found[1:], [found[0]] * 2, atol=1e-4)
+        outputs.append(run(encoder, nodes, relation, weight))
+    np.testing.assert_allclose(outputs[1:], [outputs[0]] * 2, atol=1e-4)
 
 
 def test_a_heavy_edge_takes_the_attention(encoder: GraphEncoder) -> None:
@@ -121,6 +121,6 @@ def test_padding_is_nothing_and_changes_nothing(encoder: GraphEncoder) -> None:
         np.pad(relation, (0, 2), constant_values=-1),
         np.pad(weight, (0, 2), constant_values=1.0),
     )
-    found = run(encoder, *wide, mask=np.array([1, 1, 1, 1, 0, 0], dtype=np.float32))
-    np.testing.assert_array_equal(found[:4], run(encoder, nodes, relation, weight))
-    assert (found[4:] == 0).all()
+    output = run(encoder, *wide, mask=np.array([1, 1, 1, 1, 0, 0], dtype=np.float32))
+    np.testing.assert_array_equal(output[:4], run(encoder, nodes, relation, weight))
+    assert (output[4:] == 0).all()

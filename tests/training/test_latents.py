@@ -26,13 +26,13 @@ def vae() -> TrainedVae:
 def test_another_normalisation_of_the_same_clips_gives_the_same_latents() -> None:
     trained = vae()
     raw = [np.random.default_rng(n).standard_normal((20 + 9 * n, len(trained.mean))).astype(np.float32) for n in (1, 0)]
-    own = Dataset([], [(rows - trained.mean) / trained.std for rows in raw], trained.mean, trained.std)
+    normalised = Dataset([], [(rows - trained.mean) / trained.std for rows in raw], trained.mean, trained.std)
     plain = Dataset([], raw, np.zeros_like(trained.mean), np.ones_like(trained.std))
-    for a, b in zip(encode_clips(trained, own), encode_clips(trained, plain), strict=True):
+    for a, b in zip(encode_clips(trained, normalised), encode_clips(trained, plain), strict=True):
         torch.testing.assert_close(a, b, atol=1e-5, rtol=1e-4)
     # each row belongs to its clip, whatever the order of encoding
-    alone = encode_clips(trained, Dataset([], own.features[:1], own.mean, own.std))
-    both, _ = encode_clips(trained, own)
+    alone = encode_clips(trained, Dataset([], normalised.features[:1], normalised.mean, normalised.std))
+    both, _ = encode_clips(trained, normalised)
     torch.testing.assert_close(alone[0][0], both[0], atol=1e-5, rtol=1e-4)
     assert not torch.allclose(both[0], both[1], atol=1e-3)
 

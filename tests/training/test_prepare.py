@@ -16,7 +16,7 @@ from kinegraph_training.data.captions_file import match_captions, read_captions
 from kinegraph_training.data.clips import read_split
 from kinegraph_training.data.folder import assign_splits
 from kinegraph_training.prepare import PrepareOptions, clip_joints, main, prepare
-from support.bvh_files import bvh_text, folder_of, prepared
+from support.bvh_files import bvh_text, prepare_joints, write_bvh_folder
 from support.shared import shared_path
 
 GOOD = bvh_text()[0]
@@ -48,14 +48,14 @@ GOOD = bvh_text()[0]
 )
 def test_broken_files_are_refused_by_name(tmp_path: Path, text: str, message: str) -> None:
     with pytest.raises(InvalidInputError, match=rf"one\.bvh: .*({message})"):
-        prepared(tmp_path, text)
+        prepare_joints(tmp_path, text)
 
 
 def test_a_clip_of_one_frame_or_far_too_large_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InvalidInputError, match="two frames"):
-        prepared(tmp_path, bvh_text(frames=1)[0])
+        prepare_joints(tmp_path, bvh_text(frames=1)[0])
     with pytest.raises(InvalidInputError, match=r"3\.2 m"):
-        prepared(tmp_path, GOOD, scale=1.0)
+        prepare_joints(tmp_path, GOOD, scale=1.0)
     with pytest.raises(InvalidInputError, match=r"absent\.bvh"):
         read_bvh(tmp_path / "absent.bvh")
 
@@ -68,7 +68,7 @@ def test_a_joint_may_be_called_motion() -> None:
 
 def test_a_folder_becomes_training_data(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     files = {f"{'walks/' if n % 2 else ''}clip{n}.bvh": bvh_text(frames=20 + n) for n in range(12)}
-    arguments = folder_of(tmp_path, {name: text for name, (text, _) in files.items()})
+    arguments = write_bvh_folder(tmp_path, {name: text for name, (text, _) in files.items()})
     assert main([*arguments, "--val", "0.2", "--test", "0.2"]) == 0
     assert "12 clips" in capsys.readouterr().out
     clips = {clip.id: clip for split in ("train", "val", "test") for clip in read_split(tmp_path / "out", split)}
@@ -117,11 +117,11 @@ def test_a_made_up_clip_of_our_own_comes_back(tmp_path: Path) -> None:
 def test_splits_depend_on_the_name_alone() -> None:
     ids = [f"clip{number}" for number in range(2000)]
     splits = assign_splits(ids, val=0.1, test=0.05)
-    counts = {split: sum(each == split for each in splits.values()) for split in ("train", "val", "test")}
+    counts = {split: sum(assigned == split for assigned in splits.values()) for split in ("train", "val", "test")}
     assert 150 < counts["val"] < 250
     assert 60 < counts["test"] < 140
     fewer = assign_splits(ids[::2], val=0.1, test=0.05)
-    assert all(splits[each] == fewer[each] for each in fewer)
+    assert all(splits[name] == fewer[name] for name in fewer)
 
 
 def test_small_data_still_gets_a_validation_clip() -> None:
@@ -213,7 +213,7 @@ def test_the_command_line_says_what_is_wrong_and_writes_nothing(
     extra: list[str],
     message: str,
 ) -> None:
-    assert main([*folder_of(tmp_path, files, captions), *extra]) == 2
+    assert main([*write_bvh_folder(tmp_path, files, captions), *extra]) == 2
     error = capsys.readouterr().err
     assert error.count("error:") == 1
     assert message in error
@@ -221,7 +221,7 @@ def test_the_command_line_says_what_is_wrong_and_writes_nothing(
 
 
 def test_broken_files_can_be_left_out(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    arguments = folder_of(tmp_path, {"a.bvh": GOOD, "b.bvh": "junk", "c.bvh": GOOD})
+    arguments = write_bvh_folder(tmp_path, {"a.bvh": GOOD, "b.bvh": "junk", "c.bvh": GOOD})
     assert main([*arguments, "--skip-broken", "--val", "0", "--test", "0"]) == 0
     assert "left out" in capsys.readouterr().err
     assert [clip.id for clip in read_split(tmp_path / "out", "train")] == ["a", "c"]
@@ -229,7 +229,7 @@ def test_broken_files_can_be_left_out(tmp_path: Path, capsys: pytest.CaptureFixt
 
 
 def test_data_is_not_overwritten_unless_asked(tmp_path: Path) -> None:
-    arguments = folder_of(tmp_path, {"a.bvh": GOOD, "b.bvh": GOOD})
+    arguments = write_bvh_folder(tmp_path, {"a.bvh": GOOD, "b.bvh": GOOD})
     paths = [tmp_path / "bvh", tmp_path / "c.csv", tmp_path / "out"]
     prepare(*paths, PrepareOptions())
     before = (tmp_path / "out" / "index.jsonl").read_bytes()

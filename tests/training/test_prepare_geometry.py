@@ -15,23 +15,23 @@ from kinegraph.motion.skeleton import JOINT_NAMES, canonicalise
 from kinegraph_training.data.bvh import joint_positions, parse_bvh, resample_bvh
 from kinegraph_training.data.retargeting import NAMING_CONVENTIONS, find_joint_map, map_joints, plain_name, read_map
 from kinegraph_training.prepare import guess_unit
-from support.bvh_files import MIXAMO, bvh_text, prepared
+from support.bvh_files import MIXAMO, bvh_text, prepare_joints
 from support.shared import shared_path
 
 
 @pytest.mark.parametrize("order", ["".join(axes) for axes in permutations("XYZ")])
 def test_every_rotation_order(tmp_path: Path, order: str) -> None:
     text, places = bvh_text(orders=(order,))
-    np.testing.assert_allclose(prepared(tmp_path, text), canonicalise(places / 100), atol=1e-5)
+    np.testing.assert_allclose(prepare_joints(tmp_path, text), canonicalise(places / 100), atol=1e-5)
 
 
 def test_orders_that_differ_per_joint_and_positions_that_replace_offsets(tmp_path: Path) -> None:
     text, places = bvh_text(orders=("ZXY", "XYZ", "YZX", "ZYX"), positions_everywhere=True)
-    np.testing.assert_allclose(prepared(tmp_path, text), canonicalise(places / 100), atol=1e-5)
+    np.testing.assert_allclose(prepare_joints(tmp_path, text), canonicalise(places / 100), atol=1e-5)
 
 
 def test_clips_start_ahead_at_the_origin_on_the_floor(tmp_path: Path) -> None:
-    joints = prepared(tmp_path, bvh_text()[0])
+    joints = prepare_joints(tmp_path, bvh_text()[0])
     across = joints[0, 2] - joints[0, 1] + joints[0, 17] - joints[0, 16]
     assert across[0] < 0
     assert across[2] == pytest.approx(0.0, abs=1e-5)
@@ -43,7 +43,7 @@ def test_clips_start_ahead_at_the_origin_on_the_floor(tmp_path: Path) -> None:
 def test_other_frame_rates_are_resampled(tmp_path: Path, fps: float) -> None:
     text, _ = bvh_text(frames=int(2 * fps) + 1, fps=fps)
     _, slow = bvh_text(frames=41, fps=20.0)
-    joints = prepared(tmp_path, text)
+    joints = prepare_joints(tmp_path, text)
     assert joints.shape == (41, 22, 3)
     np.testing.assert_allclose(joints, canonicalise(slow / 100), atol=3e-3)
 
@@ -73,7 +73,7 @@ def test_a_body_of_no_known_unit_needs_scale(tmp_path: Path) -> None:
     text, places = bvh_text(positions_everywhere=True)
     with pytest.raises(InvalidInputError, match=r"--scale 7$"):
         guess_unit(places / 81 * 0.85 / 7)
-    np.testing.assert_allclose(prepared(tmp_path, text, scale=0.0125), canonicalise(places / 80), atol=1e-5)
+    np.testing.assert_allclose(prepare_joints(tmp_path, text, scale=0.0125), canonicalise(places / 80), atol=1e-5)
 
 
 def test_z_up(tmp_path: Path) -> None:
@@ -82,7 +82,7 @@ def test_z_up(tmp_path: Path) -> None:
     head, motion = turned.split("MOTION\n")
     first, second, *rows = motion.splitlines()
     turned = head + "}\nMOTION\n" + "\n".join([first, second, *(f"90 {row}" for row in rows)]) + "\n"
-    np.testing.assert_allclose(prepared(tmp_path, turned, up="z"), canonicalise(places / 100), atol=1e-5)
+    np.testing.assert_allclose(prepare_joints(tmp_path, turned, up="z"), canonicalise(places / 100), atol=1e-5)
 
 
 NAMINGS: dict[str, Callable[[str], str]] = {
@@ -98,7 +98,7 @@ NAMINGS: dict[str, Callable[[str], str]] = {
 @pytest.mark.parametrize("naming", NAMINGS)
 def test_names_of_other_sources(tmp_path: Path, naming: str) -> None:
     text, places = bvh_text([NAMINGS[naming](name) for name in MIXAMO])
-    joints = prepared(tmp_path, text)
+    joints = prepare_joints(tmp_path, text)
     # The made-up motion depends on the length of the first name.
     np.testing.assert_allclose(joints, canonicalise(places / 100), atol=1e-5)
 
@@ -113,7 +113,7 @@ def test_names_of_other_sources(tmp_path: Path, naming: str) -> None:
 )
 def test_smpl_names(tmp_path: Path, names: list[str]) -> None:
     text, places = bvh_text(names)
-    np.testing.assert_allclose(prepared(tmp_path, text), canonicalise(places / 100), atol=1e-5)
+    np.testing.assert_allclose(prepare_joints(tmp_path, text), canonicalise(places / 100), atol=1e-5)
 
 
 def bones_of(source: dict[str, object]) -> tuple[str, ...]:
@@ -124,16 +124,16 @@ def bones_of(source: dict[str, object]) -> tuple[str, ...]:
 def test_maps_agree_with_those_of_the_data(key: str) -> None:
     path = shared_path("data", "skeletons.json")
     source = json.loads(path.read_text())[key]
-    found = find_joint_map(bones_of(source)).sources
+    sources = find_joint_map(bones_of(source)).sources
     expected = {joint: name for joint, name in source["map_to_22"].items() if "midpoint" not in name}
-    assert dict(found) == expected
+    assert dict(sources) == expected
 
 
 def test_missing_spine_joints_lie_between_their_neighbours(tmp_path: Path) -> None:
     text, places = bvh_text(orders=("ZXY",))
     fewer = text.replace("JOINT Spine2", "JOINT Breast").replace("JOINT Spine1", "JOINT Belly")
     fewer = fewer.replace("JOINT LeftShoulder", "JOINT x").replace("JOINT RightShoulder", "JOINT y")
-    joints = prepared(tmp_path, fewer) - prepared(tmp_path, text)[0, 0]
+    joints = prepare_joints(tmp_path, fewer) - prepare_joints(tmp_path, text)[0, 0]
     at = {name: joints[:, index] for index, name in enumerate(JOINT_NAMES)}
     for below, joint, above in (("pelvis", "spine2", "neck"), ("neck", "left_collar", "left_shoulder")):
         whole = np.linalg.norm(at[above] - at[below], axis=-1)
@@ -155,8 +155,8 @@ def test_bandai_spine_is_half_way() -> None:
 def test_a_map_file_goes_before_the_tables(tmp_path: Path) -> None:
     text, places = bvh_text()
     (tmp_path / "map.json").write_text(json.dumps({"head": ["Neck", "HEAD", 0.5], "left_foot": "LeftToeBase.end"}))
-    joints = prepared(tmp_path, text, joint_sources=read_map(tmp_path / "map.json"))
-    plain = prepared(tmp_path, text)
+    joints = prepare_joints(tmp_path, text, joint_sources=read_map(tmp_path / "map.json"))
+    plain = prepare_joints(tmp_path, text)
     head, neck, foot = JOINT_NAMES.index("head"), JOINT_NAMES.index("neck"), JOINT_NAMES.index("left_foot")
     lowered = joints[:, neck] - plain[:, neck]
     np.testing.assert_allclose(joints[:, head] - lowered, (plain[:, head] + plain[:, neck]) / 2, atol=1e-5)
@@ -188,10 +188,10 @@ def test_joints_that_cannot_be_mapped_are_named(tmp_path: Path) -> None:
     with pytest.raises(
         InvalidInputError, match=r"one\.bvh: no joint found for head, left_elbow .*Mixamo.*Tentacle.*--map"
     ):
-        prepared(tmp_path, text)
+        prepare_joints(tmp_path, text)
     with pytest.raises(InvalidInputError, match="takes left_elbow from 'Arm', which the file lacks"):
-        prepared(tmp_path, text, joint_sources={"left_elbow": "Arm"})
-    assert prepared(tmp_path, text, joint_sources={"left_elbow": "tentacle", "head": "Top"}).shape == (30, 22, 3)
+        prepare_joints(tmp_path, text, joint_sources={"left_elbow": "Arm"})
+    assert prepare_joints(tmp_path, text, joint_sources={"left_elbow": "tentacle", "head": "Top"}).shape == (30, 22, 3)
 
 
 def test_plain_names() -> None:

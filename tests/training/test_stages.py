@@ -17,13 +17,13 @@ from kinegraph.bundle.contract import LEVELS
 from kinegraph_training import train_denoisers, train_vae
 from kinegraph_training.data.folder import PreparedClip, write_data
 from support.motions import walk
-from support.toy_run import ASSETS, stage, steps_of, write_walks
+from support.toy_run import ASSETS, run_stage, steps_of, write_walks
 
 
 @pytest.mark.parametrize("precision", ["32-true", "bf16-mixed"])
 def test_a_step_is_taken_whatever_the_hardware_prefers(precision: str, tmp_path: Path) -> None:
     write_walks(tmp_path / "data")
-    stage(train_vae, tmp_path, "--level", "motion", "--precision", precision, "--max_steps", "1")
+    run_stage(train_vae, tmp_path, "--level", "motion", "--precision", precision, "--max_steps", "1")
     assert steps_of(tmp_path / "run" / "vae_motion" / "last.ckpt") == 1
 
 
@@ -53,7 +53,7 @@ def test_denoisers_start_from_the_weights_of_others(trained: Path, tmp_path: Pat
     still = ["--start-from", str(source), "--max_steps", "1", "--val_check_interval", "1", "--gradient_clip_val", "0"]
     preset = tmp_path / "still.toml"
     preset.write_text('base = "tiny"\n[denoiser_training]\nlearning_rate = 0.0\nsteps = 1\n')
-    stage(train_denoisers, tmp_path, "--assets", str(ASSETS), *still, "--preset", str(preset))
+    run_stage(train_denoisers, tmp_path, "--assets", str(ASSETS), *still, "--preset", str(preset))
     before, after = (
         torch.load(path, weights_only=True, map_location="cpu")["state_dict"]
         for path in (source, tmp_path / "run" / "denoisers" / "last.ckpt")
@@ -70,8 +70,8 @@ def test_denoisers_train_on_further_folders(trained: Path, tmp_path: Path) -> No
     for level in LEVELS:
         shutil.copytree(trained / "run" / f"vae_{level}", tmp_path / "run" / f"vae_{level}")
     more = ["--more", str(tmp_path / "more"), "--max_steps", "1", "--val_check_interval", "1"]
-    stage(train_denoisers, tmp_path, "--assets", str(ASSETS), *more)
+    run_stage(train_denoisers, tmp_path, "--assets", str(ASSETS), *more)
     assert steps_of(tmp_path / "run" / "denoisers" / "last.ckpt") == 1
-    with np.load(tmp_path / "run" / "captions.npz", allow_pickle=False) as known:
-        captions = known["captions"].tolist()
+    with np.load(tmp_path / "run" / "captions.npz", allow_pickle=False) as cache:
+        captions = cache["captions"].tolist()
     assert {f"a person walks and waves the {side} hand" for side in ("left", "right")} <= set(captions)

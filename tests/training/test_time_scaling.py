@@ -77,18 +77,18 @@ def test_captions_of_denoisers_say_how_fast_it_is_and_what_stays_true() -> None:
         MotionClip("wave", walk(80), ("a person waves.",), ("wave-left-hand",), "normal"),
         MotionClip("long", walk(190), ("a person walks.",), ("walk",), "normal"),
     ]
-    made = make_time_scaled(clips, 40, 1, 196)
-    assert len(made) == 40 and {clip.action for clip in made} == {"walk-turn-left"}
-    for clip in made:
+    scaled = make_time_scaled(clips, 40, 1, 196)
+    assert len(scaled) == 40 and {clip.action for clip in scaled} == {"walk-turn-left"}
+    for clip in scaled:
         slower = len(clip.joints) > 80
         assert MIN_SCALE - 0.02 < (len(clip.joints) / 80) ** (1 if slower else -1) < MAX_SCALE + 0.02
         words = SLOWLY if slower else FAST
-        assert len(clip.captions) == 4 and all(any(word in each for word in words) for each in clip.captions)
-        assert not any("walks fast" in each and slower for each in clip.captions)
-        assert any("90 degrees" in each for each in clip.captions)
+        assert len(clip.captions) == 4 and all(any(word in caption for word in words) for caption in clip.captions)
+        assert not any("walks fast" in caption and slower for caption in clip.captions)
+        assert any("90 degrees" in caption for caption in clip.captions)
         assert abs(np.ptp(facing_angle(clip.joints)) - np.ptp(facing_angle(clips[0].joints))) < 0.02
-    assert len({len(clip.joints) for clip in made}) > 10
-    assert any(caption.startswith(words) for clip in made for caption in clip.captions for words in SLOWLY)
+    assert len({len(clip.joints) for clip in scaled}) > 10
+    assert any(caption.startswith(words) for clip in scaled for caption in clip.captions for words in SLOWLY)
 
 
 def written_walks(folder: Path) -> Path:
