@@ -123,8 +123,8 @@ class ContextTokens(nn.Module):
             (a, s, d).
         """
         has_text = (kind != NULL_KIND).to(nodes.dtype)[..., None]
-        order_embedding = self.order(order.clamp(max=self.last_order))
-        context = self.node_in(nodes) * has_text + self.kind(kind) + order_embedding * has_text
+        context = self.node_in(nodes) * has_text + self.kind(kind)
+        context = context + self.order(order.clamp(max=self.last_order)) * has_text
         if self.coarse_in is not None:
             context = torch.cat([context, self.coarse_in(coarse) + self.coarse_position], dim=1)
         return self.norm(context)
