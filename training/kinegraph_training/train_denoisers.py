@@ -286,8 +286,8 @@ def main(argv: list[str] | None = None) -> None:
     latents = encode_latents(clips, preset.denoiser.levels, run)
     train_batches, val_batches = make_loaders(clips, captions, latents, preset)
 
-    shapes = {level: LatentShape(*own.centre.shape) for level, own in latents.train.items()}
-    statistics = {level: (own.centre, own.scale) for level, own in latents.train.items()}
+    shapes = {level: LatentShape(*posterior.centre.shape) for level, posterior in latents.train.items()}
+    statistics = {level: (posterior.centre, posterior.scale) for level, posterior in latents.train.items()}
     spectral_loss = make_spectral_loss(run, latents.train[LEVELS[-1]])
     module = DenoiserModule(preset.denoiser, config, shapes, statistics, spectral_loss)
     if arguments.start_from:
