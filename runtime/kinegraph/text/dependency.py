@@ -15,7 +15,8 @@ from typing import Any, Final
 
 from kinegraph.errors import BundleFormatError, MissingExtraError
 from kinegraph.text import lexicon
-from kinegraph.text.normalise import normalise_tokens
+from kinegraph.text.caption_tokens import CaptionToken, caption_tokens
+from kinegraph.text.normalise import Dictionary, NormalisedTokens, normalise_tokens
 
 PIPES: Final[tuple[str, ...]] = ("tok2vec", "tagger", "parser", "attribute_ruler", "lemmatizer")
 
@@ -100,6 +101,11 @@ def import_in_background() -> None:
     threading.Thread(target=load, daemon=True).start()
 
 
+def clean(caption: str) -> str:
+    """Replace white space and control characters by blanks, one for one, so that offsets hold."""
+    return "".join(char if char.isprintable() else " " for char in caption)
+
+
 Span = tuple[int, int]
 """First and last token, both included."""
 
@@ -166,12 +172,16 @@ class ParsedTokens:
 class DependencyParse:
     """Dependency parse of one caption; token i is the same word in all fields."""
 
-    written: Any
-    """spaCy document of the caption as it is written, unparsed: the source of character offsets."""
+    offsets: tuple[tuple[int, int], ...]
+    """Characters of the caption that each token stands for, end exclusive."""
     doc: Any
     """spaCy document of the surrogates, with the dependency parse: the input of the rules."""
     tokens: ParsedTokens
     """The same parse with the corrected words: the input of the argument classifier."""
+    states: frozenset[int]
+    """Indices of the words that would follow "is" in phrases without a verb ("left hand up"); `doc` has verbs there."""
+    clause_verbs: frozenset[int]
+    """Indices of the verbs that their place tells, one clause each."""
 
 
 class DependencyParser:
@@ -186,38 +196,47 @@ class DependencyParser:
         self._pipeline = load_pipeline(pipeline_bytes)
         lemma_index = self._pipeline.get_pipe("lemmatizer").lookups.get_table("lemma_index", {})
         stop_words = frozenset(self._pipeline.Defaults.stop_words)
-        self._dictionary = stop_words.union(*(set(words) for words in lemma_index.values()))
+        self._words = stop_words.union(*(set(words) for words in lemma_index.values()))
+        verbs = frozenset(lemma_index["verb"]) if "verb" in lemma_index else frozenset()
+        self._dictionary = Dictionary(self._is_known, verbs.__contains__)
 
-    def __call__(self, text: str) -> DependencyParse:
-        """Parse a text.
+    def __call__(self, caption: str) -> DependencyParse:
+        """Parse a caption.
 
-        If the parser took a verb for a plural noun, the text is parsed a second time with that word as a verb.
+        If the parser took a verb for a plural noun, the caption is parsed a second time with that word as a verb.
         """
-        written = self._pipeline.make_doc(text)
-        doc, words = self._run_pipeline(written, ())
-        verb = _find_overlooked_verb(doc, words)
+        tokens = caption_tokens(self._pipeline.make_doc(clean(caption)), caption)
+        doc, normalised = self._run_pipeline(tokens, ())
+        verb = _find_overlooked_verb(doc, normalised.words)
         if verb is not None:
-            doc, words = self._run_pipeline(written, (verb,))
-        return DependencyParse(written, doc, ParsedTokens.from_doc(doc, words))
+            doc, normalised = self._run_pipeline(tokens, (verb,))
+        offsets = tuple((token.start, token.end) for token in tokens)
+        return DependencyParse(
+            offsets, doc, ParsedTokens.from_doc(doc, normalised.words), normalised.states, normalised.clause_verbs
+        )
 
-    def _run_pipeline(self, written: Any, verbs_at: Collection[int]) -> tuple[Any, tuple[str, ...]]:
-        """Parse the surrogates of a tokenized text; returns the document and the corrected words."""
+    def _run_pipeline(self, tokens: Sequence[CaptionToken], verbs_at: Collection[int]) -> tuple[Any, NormalisedTokens]:
+        """Parse the surrogates of a caption's tokens; returns the document and what was normalised."""
         from spacy.tokens import Doc
 
-        normalised = normalise_tokens([token.text for token in written], self._is_known, verbs_at)
-        spaces = [bool(token.whitespace_) for token in written]
-        doc = Doc(self._pipeline.vocab, words=list(normalised.surrogates), spaces=spaces)
+        normalised = normalise_tokens(tokens, self._dictionary, verbs_at)
+        doc = Doc(
+            self._pipeline.vocab,
+            words=list(normalised.surrogates),
+            spaces=[token.space for token in tokens],
+            sent_starts=[begins or None for begins in normalised.begins_sentence],
+        )
         for _, component in self._pipeline.pipeline:
             doc = component(doc)
         for token, lemma in zip(doc, normalised.lemmas, strict=True):
             if lemma is not None:
                 token.lemma_ = lemma
-        return doc, normalised.words
+        return doc, normalised
 
     def _is_known(self, word: str) -> bool:
         """Tell whether the dictionary has a lower-case word, or the base form of which it is a regular form."""
-        return word in self._dictionary or any(
-            word.endswith(suffix) and word[: len(word) - len(suffix)] + base_ending in self._dictionary
+        return word in self._words or any(
+            word.endswith(suffix) and word[: len(word) - len(suffix)] + base_ending in self._words
             for suffix, base_ending in _SUFFIXES
         )
 

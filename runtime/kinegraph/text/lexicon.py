@@ -21,6 +21,11 @@ TRANSITIVE: Final = frozenset(
 STATIVE: Final = frozenset("look seem appear feel be remain become sound".split())
 """Verbs of a state instead of a motion."""
 
+ENDING: Final = frozenset("stop quit cease avoid refrain".split())
+"""Verbs after which the participle behind them does not happen ("stops walking")."""
+CATENATIVE: Final = ENDING | frozenset("start begin continue keep finish like love enjoy practise practice".split())
+"""Verbs whose object is the participle behind them ("starts walking")."""
+
 TRAVEL: Final = frozenset("go come return get rise climb descend".split())
 """Verbs with a start (ARG3) and a goal (ARG4)."""
 TRAVEL_ON: Final = frozenset(
@@ -86,20 +91,34 @@ EVENT_NOUNS: Final = frozenset(
 GET: Final = frozenset("get gets getting got".split())
 """Forms of "get", an action of its own in "gets pushed"."""
 
-NEVER_VERBS: Final = (DIRECTION_ADVERBS - frozenset(("left",))) | frozenset(("circle", "reverse", "clockwise"))
+NEVER_VERBS: Final = (DIRECTION_ADVERBS - {"left"}) | frozenset("circle reverse clockwise side sides".split())
 """Words that the tagger sometimes takes for verbs, although captions use them as nouns and adverbs."""
 
 VERBS: Final = EVENT_NOUNS - frozenset("greeting movement motion rotation".split()) | frozenset(
-    "raise lower pick put carry hold take make do perform go come crouch duck dive drop flap flex gallop glide"
-    " grab hang hit hug hurry land lie look move open close paddle pass pat play pretend pull rest rise return rub"
-    " rush sneak scratch sidestep sink slap slip slow smash squeeze stagger stalk stomp straighten strike stroke"
-    " strut sway sweep tilt touch toss tread trip trudge twist unfold use wander wiggle wipe wobble wriggle yawn"
-    " zigzag begin continue keep cross dodge draw drag drink eat evade gesture grasp guide juggle march mimic"
-    " mince mope pivot press reach recover rotate scoot show skate ski sling snap splash spread squat stir stoop"
-    " stroll struggle stumble swim swing tap wave weave fold nod clasp circle walk flail gather greet hail hobble"
-    " inch lurch mime pant plod pose prance relax retreat saunter slump tiptoe traipse tumble waddle whirl wince"
-    " leave lead try drive swipe flinch fling bounce brush box fight shadowbox hula sit sprint catch wade"
-    " compensate".split()
+    "advance aim amble applaud approach arise arrange arrive ascend backpedal bash bask beckon begin bite blink block"
+    " bob bounce bound box brace breakdance breaststroke breathe brush bump butt caress carry cast charge chase cheer"
+    " chew chop circle clamber clasp clean clear clench close clutch collapse comb come compensate continue cook cough"
+    " crack cradle crank creep cross crouch cry cuddle curl curtsey curtsy cycle dab dart deal defend depart descend"
+    " dig dismount dive do dodge drag draw dress drill drink drive drop duck dust eat embrace enter escape evade"
+    " examine exhale exit extend faint falter feed fetch fidget fight flail flap flee flex flinch fling flop fold"
+    " follow freeze frown gallop gather gaze glance glide go grab grasp greet grin grip guard guide gyrate hail halt"
+    " hammer handspring hang haul heave hesitate hide hike hiss hit hobble hoist hold hover hug hula hunch hurdle hurl"
+    " hurry inch indicate inhale inspect jab jerk jig jiggle juggle keep kiss knead knit land lash laugh lay lead"
+    " leave lick lie limbo linger listen load lock look lounge lower lug lumber lurch make meander meditate mime mimic"
+    " mince moonwalk mop mope mosey mount move nudge open paddle paint pant parry pass pat pause pedal peek peer perch"
+    " perform pet pick pinch pitch pivot place plank play plod plop plunge poke pose pounce pour prance pray press"
+    " pretend proceed pummel put rake react read rebound recline recoil recover reel relax release remain respond rest"
+    " retreat return revolve ride ring rise roam rotate row rub rummage rush sashay saunter saw scamper scoot scramble"
+    " scratch scream screw scuff scurry search seek serve set shadow shadowbox shamble shave shield shimmy shiver"
+    " shoot shout shovel show shudder shut sidestep sidle sign signal sing sink sip skate skateboard ski skid slam"
+    " slap sleep sling slink slip slither slouch slow slump smash smile smoke snap snatch sneak sneeze sniff snowboard"
+    " soar sob sow spar speak splash sprawl spread spring squash squeeze squint squirm stab stack stagger stalk stare"
+    " steer stir stomp stoop straddle straighten strain strike stroke struggle strum strut stutter surf swagger"
+    " swallow swat sway sweep swerve swim swipe swish swivel tackle take talk tango teeter text thrash thrust thump"
+    " tickle tilt toddle topple toss totter touch traipse tramp trample tread trek tremble trip trudge try tuck tug"
+    " tumble twerk twiddle twist twitch type unclench uncross uncurl undress unfold unload unlock untie unwrap unzip"
+    " uppercut use vault vibrate waddle wade wail wait wake wander ward wash watch weave whack whip whirl whistle"
+    " wiggle wince wink wipe wobble wrap wrestle wriggle wring write writhe yank yawn yell zigzag zip".split()
 )
 """Verbs of motion, base forms."""
 
@@ -119,13 +138,36 @@ def _participle(verb: str) -> str:
     return verb + verb[-1] + "ing" if doubled else verb + "ing"
 
 
+PARTICIPLES: Final = {_participle(verb): verb for verb in sorted(VERBS)}
+"""Present participle to base form."""
 FINITE_VERBS: Final = {_third_person(verb): verb for verb in sorted(VERBS) if verb != "do"}
 """Third person to base form; without "does", which is as often an auxiliary."""
 
 CONFUSED: Final = {"waive": "wave", "waives": "waves", "waiving": "waving", "quater": "quarter"}
 """English words that are spelling slips in a caption, with their correction."""
 
-ROTATIONS: Final = frozenset("clockwise counterclockwise anticlockwise counter-clockwise anti-clockwise".split())
+ABBREVIATIONS: Final = {
+    "w/o": "without", "fwd": "forward", "bwd": "backward", "bkwd": "backward", "thru": "through", "pls": "please",
+    "plz": "please", "thx": "thanks", "ppl": "people", "sec": "second", "secs": "seconds",
+}  # fmt: skip
+"""Short forms of words, with the words that they stand for."""
+
+ROTATIONS: Final = frozenset("clockwise counterclockwise".split())
+NOUN_ADJECTIVES: Final = frozenset(
+    "fast slow slower quick high low big small little long short half quarter couple double single triple hard soft"
+    " front side back jumping spinning several two three four five six seven eight nine ten many few more some no"
+    " any".split()
+)
+"""Words before a noun of motion, so that a plural behind them is no verb ("high kicks")."""
+POSTURES: Final = frozenset(
+    "up down out apart together wide high low straight overhead crossed raised lowered bent extended outstretched"
+    " stretched folded clasped open closed sideways forward back".split()
+)
+"""Words behind a part of the body that say how it is held ("with both arms up")."""
+STATE_ADJECTIVES: Final = frozenset(
+    "old young tall small big single same other opposite whole entire upper lower slightly fully bare".split()
+)
+"""Words between an article and a body part or a person."""
 
 PERSON_NOUNS: Final = frozenset("human subject humanoid avatar".split())
 """Words for the person who moves that the tagger takes for adjectives or names."""
@@ -133,15 +175,19 @@ SUBJECT_NOUNS: Final = PERSON_NOUNS | frozenset(
     "person man woman someone somebody figure character individual child boy girl guy lady player dancer people actor"
     " kid adult athlete he she it they".split()
 )
-BODY_NOUNS: Final = frozenset(
-    "arm hand leg foot knee elbow head body shoulder hip fist finger back arms hands legs feet knees elbows heads"
-    " shoulders hips fists fingers chest torso neck waist heel heels toe toes ankle wrist face".split()
+BODY_PLURALS: Final = frozenset(
+    "arms hands legs feet knees elbows heads shoulders hips fists fingers heels toes ankles wrists eyes palms thighs"
+    " forearms".split()
+)
+BODY_NOUNS: Final = BODY_PLURALS | frozenset(
+    "arm hand leg foot knee elbow head body shoulder hip fist finger back chest torso neck waist heel toe ankle wrist"
+    " face eye chin palm mouth belly thigh forearm upperbody".split()
 )
 
 VOCABULARY: Final = (
     VERBS
     | frozenset(FINITE_VERBS)
-    | frozenset(_participle(verb) for verb in VERBS)
+    | frozenset(PARTICIPLES)
     | EVENT_NOUNS
     | SUBJECT_NOUNS
     | BODY_NOUNS

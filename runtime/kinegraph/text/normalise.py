@@ -9,8 +9,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 from kinegraph.text import lexicon
+from kinegraph.text.caption_tokens import CaptionToken
+from kinegraph.text.clauses import ORDINALS, SEPARATORS, Form, find_clause_verbs
 
 _LETTERS = "abcdefghijklmnopqrstuvwxyz"
 _MIN_CORRECTED_LENGTH = 4
@@ -20,10 +23,8 @@ _DETERMINERS = frozenset(
     "a an the this that these those his her its their my your our some any no each every both another one two three"
     " four five six seven eight nine ten several few many more most of with without for by in on to from".split()
 )
-_OPENERS = frozenset("and or but then who which that he she it they also".split())
-_RELATIVE = frozenset("who which that".split())
 _NOUN_MARKERS = frozenset("a an degree degrees °".split())
-_NOUN_ADJECTIVES = frozenset(
+_EVENT_ADJECTIVES = frozenset(
     "quarter half full left right sharp slight small little big quick slow deep single".split()
 )
 _SIDE_FOLLOWERS = frozenset(
@@ -42,6 +43,18 @@ _INTRANSITIVE_FOLLOWERS = (
     | frozenset("of not that who which as very really almost about".split())
 )
 """Words that do not begin the object of the verb before them."""
+_TAKES_PLACE = frozenset("on in at above over under behind below beside between against near inside around to".split())
+"""Words that would follow "is" and name a place with the words behind them ("hands | on the hips")."""
+
+
+@dataclass(frozen=True)
+class Dictionary:
+    """Lookups in a dictionary of English, by lower-case word."""
+
+    is_known: Callable[[str], bool]
+    """Tells whether a word is in the dictionary, in any form."""
+    is_verb: Callable[[str], bool]
+    """Tells whether a word is the base form of a verb."""
 
 
 @dataclass(frozen=True)
@@ -54,71 +67,200 @@ class NormalisedTokens:
     """Words that the dependency parser reads in their place."""
     lemmas: tuple[str | None, ...]
     """Base forms of the words that a surrogate of another verb or noun replaces, else None."""
+    states: frozenset[int]
+    """Indices of the words that would follow "is" in phrases without a verb."""
+    clause_verbs: frozenset[int]
+    """Indices of the verbs that their place tells, one clause each."""
+    begins_sentence: tuple[bool, ...]
+    """Whether a sentence begins at a token; False leaves it to the dependency parser."""
 
 
 def normalise_tokens(
-    words: Sequence[str], is_known: Callable[[str], bool], verbs_at: Collection[int] = ()
+    tokens: Sequence[CaptionToken], dictionary: Dictionary, verbs_at: Collection[int] = ()
 ) -> NormalisedTokens:
     """Correct spelling slips and choose a surrogate for each token.
 
     Args:
-        words: the caption's N tokens.
-        is_known: tells whether a lower-case word is an English word.
+        tokens: the caption's N tokens.
+        dictionary: English words.
         verbs_at: indices of tokens that are known to be finite verbs; the others are judged by their neighbours.
     """
-    corrected = tuple(correct_spelling(word, is_known) for word in words)
-    lower = [word.lower() for word in corrected]
-    verbs = [index in verbs_at or is_verb for index, is_verb in enumerate(finite_verbs(lower))]
-    surrogates = list(corrected)
-    lemmas: list[str | None] = [None] * len(lower)
-    for index, word in enumerate(lower):
-        following = lower[index + 1] if index + 1 < len(lower) else ""
-        if verbs[index]:
-            surrogates[index] = "goes" if _lacks_object(following) else "takes"
-            lemmas[index] = lexicon.FINITE_VERBS[word]
-        elif word in ("counter", "anti") and following == "clockwise" and _ends_phrase(lower, index + 2):
-            surrogates[index] = "very"
-        elif word == "that" and index and lower[index - 1] == "after" and _is_verb_at(verbs, index + 1):
-            surrogates[index - 1 : index + 1] = ["very", "soon"]
-        elif word == "°":
-            surrogates[index] = "degree"
-        elif word in lexicon.EVENT_NOUNS and _is_noun(lower, index):
-            surrogates[index], lemmas[index] = "movement", word
-        elif word in lexicon.ROTATIONS and _ends_phrase(lower, index + 1):
-            surrogates[index] = "slowly"
-        elif word in lexicon.PERSON_NOUNS and following not in lexicon.BODY_NOUNS:
-            surrogates[index] = "person"
-        elif word in ("left", "right") and _is_direction(lower, index):
-            surrogates[index] = "away"
-        elif word == "," and (_is_verb_at(verbs, index + 1) or (following == "then" and _is_verb_at(verbs, index + 2))):
-            surrogates[index] = "and"
-    return NormalisedTokens(corrected, tuple(surrogates), tuple(lemmas))
+    words = tuple(correct_spelling(token.text, dictionary.is_known) for token in tokens)
+    lower = [word.lower() for word in words]
+    surrogates = _lower_case(words)
+    lemmas: list[str | None] = []
+    forms: list[Form] = []
+    begins = [False] * len(tokens)
+    for start, end in _sentences(tokens, lower, dictionary):
+        sentence = _Sentence(lower[start:end], surrogates[start:end], [None] * (end - start), [])
+        sentence.forms = find_clause_verbs(sentence.lower, tokens[start].is_told, dictionary.is_verb)
+        for index in verbs_at:
+            if start <= index < end:
+                sentence.forms[index - start] = Form.THIRD
+        sentence.choose_surrogates(tokens[start].is_told)
+        surrogates[start:end] = sentence.surrogates
+        lemmas += sentence.lemmas
+        forms += sentence.forms
+        begins[start] = start > 0
+    states = frozenset(index for index, form in enumerate(forms) if form is Form.STATE)
+    clause_verbs = frozenset(index for index, form in enumerate(forms) if form in _CLAUSE_FORMS)
+    for index in clause_verbs - {0}:
+        begins[index] = begins[index] or lower[index - 1] in _RUN_ON or index - 1 in clause_verbs
+    return NormalisedTokens(words, tuple(surrogates), tuple(lemmas), states, clause_verbs, tuple(begins))
 
 
-def finite_verbs(lower: Sequence[str]) -> list[bool]:
-    """Tell for each lower-case word whether it is a verb of motion in the third person, not a plural noun."""
-    verbs: list[bool] = []
-    for index, word in enumerate(lower):
-        verbs.append(word in lexicon.FINITE_VERBS and _opens_predicate(lower, verbs, index))
-    return verbs
+def _sentences(tokens: Sequence[CaptionToken], lower: Sequence[str], dictionary: Dictionary) -> list[tuple[int, int]]:
+    """Cut a caption where a step begins, and where a line begins with the verb of a clause."""
+    starts = {0, len(tokens)}
+    for index, token in enumerate(tokens):
+        if token.begins_step:
+            starts.add(index)
+        elif token.begins_line:
+            line = lower[index : index + 8]
+            if any(form is not Form.NONE for form in find_clause_verbs(line, False, dictionary.is_verb)[:1]):
+                starts.add(index)
+    return list(pairwise(sorted(starts)))
 
 
-def _opens_predicate(lower: Sequence[str], verbs: Sequence[bool], index: int) -> bool:
-    """Tell by the words before an index whether a verb may stand there; `verbs` holds the decisions before it."""
-    before = lower[index - 1] if index else ""
-    if before in (",", "and", "or"):
-        # A list of nouns continues as one: "with jumps and kicks"
-        listed = lower[index - 2] if index > 1 else ""
-        return not (listed in lexicon.FINITE_VERBS and not verbs[index - 2])
-    if before in lexicon.SUBJECT_NOUNS or before in _OPENERS:
+_CLAUSE_FORMS = frozenset((Form.BASE, Form.THIRD, Form.PARTICIPLE))
+
+
+def _lower_case(words: Sequence[str]) -> list[str]:
+    """Write words in capitals in lower case, all words if most begin with a capital."""
+    written = [word for word in words if word[:1].isalpha()]
+    is_title = len(written) > 1 and 2 * sum(word[0].isupper() for word in written) > len(written)
+    return [
+        word.lower() if word[1:] != word[1:].lower() or (is_title and index) else word
+        for index, word in enumerate(words)
+    ]
+
+
+@dataclass
+class _Sentence:
+    """Words of one step while their surrogates are chosen."""
+
+    lower: list[str]
+    surrogates: list[str]
+    lemmas: list[str | None]
+    forms: list[Form]
+
+    def choose_surrogates(self, is_told: bool) -> None:
+        """Choose what the dependency parser reads for each word; `is_told`: it begins with who is told to move."""
+        for index, form in enumerate(self.forms):
+            if form is not Form.NONE:
+                self.surrogates[index], self.lemmas[index] = _verb_surrogate(self.lower, index, form)
+            elif not (self._replace_noun(index) or self._replace_adverb(index)):
+                self._replace_sign(index)
+        if is_told and self._is_verb(1):
+            self.surrogates[0] = _SUBJECT_PRONOUNS.get(self.lower[0], self.surrogates[0])
+
+    def _word(self, index: int) -> str:
+        return self.lower[index] if 0 <= index < len(self.lower) else ""
+
+    def _is_verb(self, index: int) -> bool:
+        return index < len(self.forms) and self.forms[index] is not Form.NONE
+
+    def _replace_noun(self, index: int) -> bool:
+        """Replace a noun of motion, a participle behind "no", or who moves; tells whether it was one."""
+        word, following = self.lower[index], self._word(index + 1)
+        if word in lexicon.EVENT_NOUNS and (_is_noun(self.lower, index) or self._is_title(index)):
+            self.surrogates[index], self.lemmas[index] = "movement", word
+        elif word in lexicon.PARTICIPLES and self._is_continuous(index):
+            self.surrogates[index], self.lemmas[index] = _verb_surrogate(self.lower, index, Form.PARTICIPLE)
+        elif word in lexicon.PARTICIPLES and self._word(index - 1) == "no" and self._word(index - 2) != "with":
+            self.surrogates[index - 1] = "not"
+            self.surrogates[index], self.lemmas[index] = _verb_surrogate(self.lower, index, Form.PARTICIPLE)
+        elif self._is_actor(index) or (word in lexicon.PERSON_NOUNS and following not in lexicon.BODY_NOUNS):
+            self.surrogates[index] = "person"
+        else:
+            return False
         return True
-    if index > 1 and verbs[index - 1] and lower[index - 2] in _RELATIVE:  # "who bows | walks"
+
+    def _is_continuous(self, index: int) -> bool:
+        """Tell whether a participle follows "is", or a verb that ends it ("stops waving")."""
+        before = index - 1
+        while before > 0 and (self.lower[before].endswith("ly") or self.lower[before] in ("not", "n't", "then", "now")):
+            before -= 1
+        word = self._word(before)
+        base = lexicon.FINITE_VERBS.get(word, word)
+        return word in _BE or (base in lexicon.ENDING and self.forms[before] is not Form.NONE)
+
+    def _is_actor(self, index: int) -> bool:
+        """Tell whether a word is an unusual one for who moves, in a title with a participle ("a zombie walking")."""
+        is_noun = index == 1 and self.lower[0] in ("a", "an", "the") and self._word(2) in lexicon.PARTICIPLES
+        return is_noun and self.lower[1] not in _NO_ACTORS and self._word(3) not in lexicon.SUBJECT_NOUNS
+
+    def _is_title(self, index: int) -> bool:
+        """Tell whether a word is the second of a title without a verb, behind an adjective ("slow jog")."""
+        return index == 1 and self.lower[0] in lexicon.NOUN_ADJECTIVES and Form.BASE not in self.forms
+
+    def _replace_adverb(self, index: int) -> bool:
+        """Replace an adverb that taggers take for a noun; tells whether it was one."""
+        word = self.lower[index]
+        if word == "that" and self._word(index - 1) == "after" and self._is_verb(index + 1):
+            self.surrogates[index - 1 : index + 1] = ["very", "soon"]
+        elif word in lexicon.ROTATIONS and _ends_phrase(self.lower, index + 1):
+            self.surrogates[index] = "slowly"
+        elif word in ("left", "right") and Form.STATE in self.forms and self._word(index + 1) in lexicon.BODY_NOUNS:
+            self.surrogates[index] = "other"
+        elif word in ("left", "right") and (self._is_verb(index + 1) or _is_direction(self.lower, index)):
+            self.surrogates[index] = "away"
+        elif word in ORDINALS and self._is_verb(index + 2 if self._word(index + 1) in SEPARATORS else index + 1):
+            self.surrogates[index] = "then"
+        else:
+            return False
         return True
-    return before.endswith("ly") or before in ("again", "never")
+
+    def _replace_sign(self, index: int) -> None:
+        """Replace a sign before the verb of a clause by "and"."""
+        word = self.lower[index]
+        if word == "°":
+            self.surrogates[index] = "degree"
+        elif word in SEPARATORS and self._word(index - 1) not in _SEQUENCE:
+            is_before_then = self._word(index + 1) == "then" and self._is_verb(index + 2)
+            self.surrogates[index] = "and" if is_before_then or self._is_verb(index + 1) else self.surrogates[index]
 
 
-def _is_verb_at(verbs: Sequence[bool], index: int) -> bool:
-    return index < len(verbs) and verbs[index]
+_NO_ACTORS = lexicon.EVENT_NOUNS | lexicon.NOUN_ADJECTIVES | lexicon.BODY_NOUNS | lexicon.DIRECTION_ADVERBS
+_BE = frozenset("is are was were am 's 're".split())
+_SEQUENCE = ORDINALS | {"first", "then", "next", "finally"}
+_RUN_ON = frozenset(lexicon.DIRECTION_ADVERBS | {"steps", "times", "meters", "metres", "seconds", "twice", "thrice"})
+"""Words behind which the verb of a clause begins a sentence, because nothing else parts the clauses."""
+
+
+def _verb_surrogate(lower: Sequence[str], index: int, form: Form) -> tuple[str, str]:
+    """Choose a verb of the same form that the parser knows, without or with an object; also the base form."""
+    word, following = lower[index], lower[index + 1] if index + 1 < len(lower) else ""
+    base = lexicon.FINITE_VERBS.get(word) or lexicon.PARTICIPLES.get(word, word)
+    lacks_object = _lacks_object(following) and not _has_object_behind(lower, index, base)
+    if form is Form.STATE:
+        return ("goes" if lacks_object or word not in _TAKES_PLACE else "takes"), word
+    if following in lexicon.PARTICIPLES:
+        if base in lexicon.CATENATIVE and (form is Form.BASE or base == "stop"):
+            return ("start" if form is Form.BASE else "stops"), base
+        lacks_object = base not in lexicon.CATENATIVE and _is_clause_of_verb(lower, index + 1)
+    verbs = {Form.THIRD: ("goes", "takes"), Form.PARTICIPLE: ("going", "taking"), Form.BASE: ("go", "take")}[form]
+    return verbs[0 if lacks_object else 1], base
+
+
+_SUBJECT_PRONOUNS = {"him": "he", "her": "she", "them": "they", "me": "I", "us": "we"}
+_PARTICLES = frozenset("up down off out over away back on".split())
+_OBJECT_OPENERS = frozenset("a an the his her their my your its it them both one two something".split())
+
+
+def _is_clause_of_verb(lower: Sequence[str], index: int) -> bool:
+    """Tell whether a participle is a verb with a phrase of its own ("swinging | the arms", not "swiping gestures")."""
+    following = lower[index + 1] if index + 1 < len(lower) else ""
+    return following in _OBJECT_OPENERS or (_lacks_object(following) and following not in lexicon.FINITE_VERBS)
+
+
+def _has_object_behind(lower: Sequence[str], index: int, base: str) -> bool:
+    """Tell whether a verb has an object behind a particle or a side ("picks up | a ball", "raise | left arm")."""
+    following = lower[index + 1 : index + 3]
+    if len(following) < 2 or base not in lexicon.TRANSFER | lexicon.TRANSITIVE:
+        return False
+    is_part = following[0] in ("left", "right") and following[1] in lexicon.BODY_NOUNS
+    return is_part or (following[0] in _PARTICLES and not _lacks_object(following[1]))
 
 
 def _lacks_object(following: str) -> bool:
@@ -131,7 +273,7 @@ def _is_noun(lower: Sequence[str], index: int) -> bool:
     """Tell whether a word follows an article or a measure, perhaps with an adjective between ("a quarter turn")."""
     before = lower[max(index - 2, 0) : index]
     return bool(before) and (
-        before[-1] in _NOUN_MARKERS or (before[0] in ("a", "an", "one", "two") and before[-1] in _NOUN_ADJECTIVES)
+        before[-1] in _NOUN_MARKERS or (before[0] in ("a", "an", "one", "two") and before[-1] in _EVENT_ADJECTIVES)
     )
 
 
@@ -158,6 +300,9 @@ def correct_spelling(word: str, is_known: Callable[[str], bool]) -> str:
         return word
     if lower in lexicon.CONFUSED:
         return lexicon.CONFUSED[lower]
+    doubled = lower[:-3] + lower[-4] + "ing"
+    if lower.endswith("ing") and doubled in lexicon.PARTICIPLES:  # "stoping", though a dictionary may have it
+        return doubled
     if is_known(lower):
         return word
     for edits in (_transpositions, _insertions, _deletions, _substitutions):

@@ -2,13 +2,14 @@
 
 The stages, in the order of `GraphParser.parse`:
 
-1. `clean` replaces white space and control characters by blanks.
-2. `dependency` parses the words, after `normalise` has corrected them.
+1. `caption_tokens` chooses the words that are read; `clauses` finds the verbs that their place tells.
+2. `dependency` parses these words, after `normalise` has corrected them.
 3. `rules` finds the actions and a first guess of their arguments: the predicate frames.
 4. `candidates` lists the spans that may be arguments.
 5. `argument_classifier` scores them and selects the best set without overlap.
 6. Content words that no node covers join the nearest action.
-7. The frames become a graph with character offsets.
+7. `negation` marks the actions that must not happen.
+8. The frames become a graph with character offsets.
 
 Without weights of the argument classifier, stages 4 and 5 are left out and the arguments of the rules stand.
 """
@@ -16,7 +17,7 @@ Without weights of the argument classifier, stages 4 and 5 are left out and the 
 from __future__ import annotations
 
 import threading
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -26,13 +27,16 @@ from kinegraph.limits import MAX_NODES, MAX_TEXT
 from kinegraph.text import lexicon
 from kinegraph.text.argument_classifier import ArgumentCandidates, ArgumentClassifier, argument_candidates
 from kinegraph.text.dependency import DependencyParse, DependencyParser, Span, has_word
+from kinegraph.text.negation import mark_negations, negated_events
+from kinegraph.text.quantities import iterate_adverbial
 from kinegraph.text.rules import (
     CONTENT_POS,
     PredicateFrame,
     build_frame,
     is_action,
-    is_certain,
     is_passive,
+    sequence_words,
+    subject_role,
     trim_in_doc,
 )
 from kinegraph.text.tokenizer import check_unicode
@@ -63,17 +67,22 @@ class GraphParser:
         check_caption(caption)
         parse = self.parse_dependencies(caption)
         frames = predicate_frames(parse)
+        add_quantities(caption, parse, frames)
         if self._classifier is not None:
             for frame, candidates in zip(frames, frame_candidates(parse, frames), strict=True):
-                choice = self._classifier.choose(candidates)
-                frame.arguments = keep_certain_arguments(frame, choice.chosen)
-                frame.ranked = choice.ranked
+                if frame.head.i not in parse.states:
+                    choice = self._classifier.choose(candidates)
+                    frame.arguments = keep_certain_arguments(frame, choice.chosen)
+                    frame.ranked = choice.ranked
+        drop_arguments_of_others(parse, frames)
+        share_subjects(parse, frames)
         attach_uncovered_words(parse.doc, frames)
-        return build_graph(caption, parse.written, frames)
+        mark_negations(parse.tokens, frames)
+        return build_graph(caption, parse.offsets, frames)
 
     def parse_dependencies(self, caption: str) -> DependencyParse:
         """Parse the dependencies of a checked caption."""
-        return self._dependency_parser(clean(caption))
+        return self._dependency_parser(caption)
 
 
 class LazyParser:
@@ -122,26 +131,56 @@ def check_caption(caption: object) -> None:
         raise InvalidInputError(f"the caption is {problem}; describe a motion, such as 'a person walks forward'")
 
 
-def clean(caption: str) -> str:
-    """Replace white space and control characters by blanks, one for one, so that offsets hold."""
-    return "".join(char if char.isprintable() else " " for char in caption)
-
-
 def predicate_frames(parse: DependencyParse) -> list[PredicateFrame]:
     """Find the actions of a caption, at least one, with their arguments by the rules."""
-    return [build_frame(token) for token in parse.doc if is_action(token)] or [fallback_frame(parse.doc)]
+    verbs = parse.clause_verbs | parse.states
+    heads = [token for token in parse.doc if token.i in verbs or is_action(token)]
+    events = [token for token in negated_events(parse.doc) if token not in heads]
+    frames = [build_frame(token) for token in sorted(heads + events, key=lambda token: token.i)]
+    for frame in frames:
+        if frame.head.i in parse.states:
+            frame.arguments = [(state_role(role, frame), span) for role, span in frame.arguments]
+    return frames or [build_frame(token) for token in fallback_heads(parse.doc)]
 
 
-def fallback_frame(doc: Any) -> PredicateFrame:
-    """Choose an action for a caption without a verb.
+def add_quantities(caption: str, parse: DependencyParse, frames: list[PredicateFrame]) -> None:
+    """Make what says how long or how often an argument of its own ("spins around | three times")."""
+    for start, end in iterate_adverbial(caption):
+        inside = [index for index, offsets in enumerate(parse.offsets) if start <= offsets[0] and offsets[1] <= end]
+        if not inside:
+            continue
+        span = inside[0], inside[-1]
+        frame = _nearest_frame(parse.doc[span[1]], frames)
+        if frame.head.i in inside:
+            continue
+        frame.arguments = [(role, other) for role, other in frame.arguments if other[1] < span[0] or span[1] < other[0]]
+        frame.add("ARGM-TMP", span, certain=True)
 
-    The first noun that names a motion; else the root of a sentence with a content word; else the first word.
+
+def state_role(role: str, frame: PredicateFrame) -> str:
+    """Choose the role in a phrase without a verb: ARG1 is in a state or at ARG2 ("hands | on the hips")."""
+    if role == "ARG0":
+        return "ARG1"
+    has_subject = any(other == "ARG0" for other, _ in frame.arguments)
+    return "ARG2" if role == "ARG1" and has_subject else role
+
+
+def fallback_heads(doc: Any) -> list[Any]:
+    """Choose the actions of a caption without a verb.
+
+    Coordinated nouns that name motions; else the root of a sentence with a content word; else the first word.
     """
     words = [token for token in doc if has_word(token.text)]
     events = [token for token in words if token.lemma_.lower() in lexicon.EVENT_NOUNS]
+    if events:
+        first = events[0]
+        return [
+            first,
+            *(token for token in events[1:] if token.dep_ in ("conj", "ROOT", "appos") and first.i != token.i),
+        ]
     content = [token for token in words if token.pos_ in CONTENT_POS and not token.is_stop]
     roots = [token.sent.root for token in content if token.sent.root in words]
-    return build_frame((events or roots or words)[0])
+    return (roots or words)[:1]
 
 
 def frame_candidates(parse: DependencyParse, frames: list[PredicateFrame]) -> list[ArgumentCandidates]:
@@ -152,12 +191,51 @@ def frame_candidates(parse: DependencyParse, frames: list[PredicateFrame]) -> li
 
 
 def keep_certain_arguments(frame: PredicateFrame, chosen: list[tuple[str, Span]]) -> list[tuple[str, Span]]:
-    """Let negations and agents of the rules replace the classifier's choices that overlap them."""
-    certain = [(role, span) for role, span in frame.arguments if is_certain(frame.head, span)]
+    """Let the certain arguments of the rules replace the classifier's choices that overlap them."""
+    certain = [(role, span) for role, span in frame.arguments if span in frame.certain]
     free = [
         (role, span) for role, span in chosen if all(span[1] < first or last < span[0] for _, (first, last) in certain)
     ]
     return sorted(certain + free, key=lambda argument: argument[1])
+
+
+def drop_arguments_of_others(parse: DependencyParse, frames: list[PredicateFrame]) -> None:
+    """Take from each action the words that begin another clause, and "then" of a later action or beside its own."""
+    owners = {(index, index): frame for frame in frames for index in sequence_words(frame.head)}
+    heads = {frame.head.i for frame in frames}
+    for frame in frames:
+        has_own = any(owner is frame for owner in owners.values())
+        frame.arguments = [
+            (role, span)
+            for role, span in frame.arguments
+            if not _begins_clause(parse, span, heads - {frame.head.i})
+            and (owners.get(span, frame) is frame or not (has_own or frame.head.i < span[0]))
+        ]
+
+
+def _begins_clause(parse: DependencyParse, span: Span, heads: set[int]) -> bool:
+    """Tell whether a span begins with the verb of a clause of its own, perhaps with adverbs before it."""
+    for index in range(span[0], span[1] + 1):
+        if index in parse.clause_verbs:
+            return index in heads
+        if parse.tokens.pos[index] not in ("ADV", "PUNCT", "CCONJ"):
+            return False
+    return False
+
+
+def share_subjects(parse: DependencyParse, frames: list[PredicateFrame]) -> None:
+    """Give verbs in the third person without a subject that of the action before them, also of a step before."""
+    subject: Span | None = None
+    for frame in frames:
+        own = next(
+            (span for role, span in frame.arguments if role in ("ARG0", "ARG1") and span[1] < frame.head.i), None
+        )
+        if own is not None:
+            subject = own
+        elif subject is not None and frame.head.i in parse.clause_verbs and frame.head.tag_ == "VBZ":
+            role = subject_role(frame.head, any(child.dep_ == "dobj" for child in frame.head.children))
+            frame.arguments = [argument for argument in frame.arguments if argument[1] != subject]
+            frame.add(role, subject)
 
 
 def attach_uncovered_words(doc: Any, frames: list[PredicateFrame]) -> None:
@@ -212,14 +290,14 @@ def _likeliest_around(span: Span, ranked: list[tuple[str, Span]], covered: set[i
     return "OTHERS", span
 
 
-def build_graph(caption: str, written: Any, frames: list[PredicateFrame]) -> SemanticGraph:
+def build_graph(caption: str, offsets: Sequence[tuple[int, int]], frames: list[PredicateFrame]) -> SemanticGraph:
     """Convert frames to a graph with character offsets.
 
     Beyond `limits.MAX_NODES` nodes, the last arguments are dropped first, then the last actions.
 
     Args:
         caption: the caption.
-        written: spaCy tokens of the caption, the same as those of the frames by index.
+        offsets: characters of each token of the frames.
         frames: the actions in the order of the caption.
     """
     frames = frames[: MAX_NODES - 1]
@@ -228,10 +306,9 @@ def build_graph(caption: str, written: Any, frames: list[PredicateFrame]) -> Sem
     for order, frame in enumerate(frames):
         arguments = []
         for role, (first, last) in sorted(frame.arguments, key=lambda argument: argument[1])[:room]:
-            start, end = written[first].idx, written[last].idx + len(written[last])
+            start, end = offsets[first][0], offsets[last][1]
             arguments.append(Argument(role, caption[start:end], start, end))
         room -= len(arguments)
-        verb = written[frame.head.i]
-        start, end = verb.idx, verb.idx + len(verb)
-        actions.append(Action(caption[start:end], start, end, order, arguments=tuple(arguments)))
+        start, end = offsets[frame.head.i]
+        actions.append(Action(caption[start:end], start, end, order, arguments=tuple(arguments), negated=frame.negated))
     return SemanticGraph(caption, tuple(actions))

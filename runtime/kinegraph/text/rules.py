@@ -22,6 +22,8 @@ NOUN_CLAUSES = frozenset(("relcl", "acl"))
 """Clauses that modify a noun; their verbs are actions of their own."""
 SUBJECTS = frozenset(("nsubj", "csubj", "expl"))
 PASSIVE_SUBJECTS = frozenset(("nsubjpass", "csubjpass"))
+SEQUENCE_WORDS = frozenset("then first next finally afterwards".split())
+"""Adverbs that tell the place of the verb behind them in a sequence."""
 NON_ARGUMENTS = frozenset(
     ("aux", "auxpass", "punct", "mark", "cc", "conj", "preconj", "case", "det", "parataxis", "dep")
 )
@@ -34,7 +36,7 @@ CONTENT_POS = frozenset(("NOUN", "PROPN", "ADJ", "ADV", "NUM", "VERB", "ADP", "S
 
 def is_action(token: Token) -> bool:
     """Tell whether a token is a full verb, or an auxiliary such as "be" that is the main verb of its clause."""
-    if not has_word(token.text):
+    if not has_word(token.text) or token.tag_ == "MD":
         return False
     if token.lower_ == "left" and token.i > token.head.i:  # "turns left 90 degrees", taken for "to leave"
         return False
@@ -64,14 +66,6 @@ def is_passive(head: Token) -> bool:
     return any(child.dep_ in PASSIVE_SUBJECTS | {"auxpass"} for child in head.children)
 
 
-def is_certain(head: Token, span: Span) -> bool:
-    """Tell whether an argument is a negation or the agent of a passive.
-
-    The rules find these reliably, and annotated captions have too few of them to learn from.
-    """
-    return any(child.dep_ in ("neg", "agent") and span[0] <= child.i <= span[1] for child in head.children)
-
-
 # Frames
 
 
@@ -84,11 +78,20 @@ class PredicateFrame:
     arguments: list[tuple[str, Span]] = field(default_factory=list)
     ranked: list[tuple[str, Span]] | None = None
     """All candidates of the argument classifier, the likeliest first; None if the rules stand alone."""
+    certain: set[Span] = field(default_factory=set)
+    """Arguments that the classifier must not change: the rules find them reliably, and annotated captions have too few
+    of them to learn from."""
+    negated: bool = False
+    """True if the action must not happen."""
 
-    def add(self, role: str, span: Span | None) -> None:
+    def add(self, role: str, span: Span | None, certain: bool = False) -> None:
         """Add an argument, unless there is no span or the same span is an argument already."""
-        if span is not None and span not in [known for _, known in self.arguments]:
+        if span is None:
+            return
+        if span not in [known for _, known in self.arguments]:
             self.arguments.append((role, span))
+        if certain:
+            self.certain.add(span)
 
 
 def build_frame(head: Token) -> PredicateFrame:
@@ -104,12 +107,61 @@ def build_frame(head: Token) -> PredicateFrame:
     subject = subject_span(head)
     if subject is not None:
         frame.add(subject_role(head, bool(objects)), subject)
+    for index in sequence_words(head):
+        frame.add("ARGM-TMP", (index, index), certain=True)
+    for posture in posture_spans(head):
+        frame.add("ARGM-MNR", posture, certain=True)
     for child in head.children:
         for role, span in _arguments_of_child(child, head):
-            frame.add(role, _object_list_span(objects) if child in objects else span)
+            certain = child.dep_ in ("neg", "agent") or _excludes_action(child)
+            if child in objects:
+                role, span = "ARG1" if len(objects) > 1 else role, _object_list_span(objects)
+                certain = len(objects) > 1 or _is_moved_part(head, child, span)
+            frame.add(role, span, certain)
     if not objects:
         frame.add("ARG1", _shared_object_span(head))
+    elif head.lemma_.lower() in ("keep", "hold"):
+        frame.add("ARG2", _kept_posture(head, objects[-1]), certain=True)
     return frame
+
+
+def _kept_posture(head: Token, child: Token) -> Span | None:
+    """Find how a part of the body is kept: "keeps the hands | down"."""
+    span = phrase_span(child)
+    if span is None or child.lower_ not in lexicon.BODY_NOUNS:
+        return None
+    last = child.i
+    while last + 1 < len(head.doc) and head.doc[last + 1].lower_ in lexicon.POSTURES:
+        last += 1
+    return (child.i + 1, last) if last > child.i else None
+
+
+def _excludes_action(child: Token) -> bool:
+    """Tell whether a dependent says what does not happen ("without turning", "instead of running")."""
+    is_exclusion = child.lower_ == "without" or (child.lower_ in ("of", "than") and child.i > 1)
+    if not is_exclusion or child.dep_ != "prep" or not any(below.dep_ == "pcomp" for below in child.children):
+        return False
+    return child.lower_ == "without" or child.nbor(-1).lower_ in ("instead", "rather")
+
+
+def _is_moved_part(head: Token, child: Token, span: Span | None) -> bool:
+    """Tell whether an object is a part of the body that its verb moves, and nothing else."""
+    is_part = child.lower_ in lexicon.BODY_NOUNS and span is not None and span[1] == child.i
+    return is_part and head.lemma_.lower() in lexicon.TRANSITIVE
+
+
+def sequence_words(head: Token) -> list[int]:
+    """List the words right before a verb that tell its place in a sequence ("and then bows", "second: bow")."""
+    found = []
+    index = head.i - 1
+    while index >= 0:
+        word = head.doc[index].lower_
+        if word in SEQUENCE_WORDS:
+            found.append(index)
+        elif not (word.endswith("ly") or word == ":"):
+            break
+        index -= 1
+    return found
 
 
 def _arguments_of_child(child: Token, head: Token) -> Iterator[tuple[str, Span | None]]:
@@ -123,6 +175,8 @@ def _arguments_of_child(child: Token, head: Token) -> Iterator[tuple[str, Span |
         role = "ARG2" if label in ("acomp", "attr", "oprd") and head.lemma_.lower() == "be" else "ARG1"
         if child.lower_ in lexicon.DIRECTION_ADVERBS:
             role = "ARGM-DIR"
+        elif label == "xcomp" and child.tag_ == "VBG" and head.lemma_.lower() not in _PARTICIPLE_OBJECTS:
+            role = "ARGM-ADV"  # "walks | swinging the arms"
         yield role, phrase_span(child)
     elif label == "dative":
         yield "ARG2", phrase_span(child)
@@ -149,6 +203,10 @@ def _is_unlabelled_content(token: Token) -> bool:
     return token.dep_ == "dep" and token.pos_ in CONTENT_POS and not is_action(token)
 
 
+_PARTICIPLE_OBJECTS = lexicon.CATENATIVE | {"perform", "do", "make", "show", "go"}
+"""Verbs that have a participle as their object."""
+
+
 def _prepositional_arguments(child: Token, head: Token) -> Iterator[tuple[str, Span | None]]:
     """Yield a prepositional phrase, or two where the parse nests them ("from the door to the wall")."""
     role, span = endpoint_role(child, head) or prepositional_role(child), phrase_span(child)
@@ -158,6 +216,37 @@ def _prepositional_arguments(child: Token, head: Token) -> Iterator[tuple[str, S
         yield endpoint_role(goals[0], head) or prepositional_role(goals[0]), phrase_span(goals[0])
     else:
         yield role, span
+
+
+def posture_spans(head: Token) -> Iterator[Span]:
+    """Yield how parts of the body are held meanwhile: "with both arms up", "with crossed legs"."""
+    doc = head.doc
+    for token in doc[head.i + 1 : head.right_edge.i + 1]:
+        if token.lower_ == "with":
+            above = token.head
+            while not is_action(above) and above.head.i != above.i:
+                above = above.head
+            end = _posture_end(token) if above.i == head.i else None
+            if end is not None:
+                yield token.i, end
+
+
+def _posture_end(preposition: Token) -> int | None:
+    """Find the last token of a posture: a part of the body with an adverb or participle before or behind it."""
+    doc, index = preposition.doc, preposition.i + 1
+    while index < len(doc) and doc[index].lower_ not in lexicon.BODY_NOUNS:
+        is_part = doc[index].pos_ in ("DET", "PRON", "ADJ", "NUM", "ADV", "VERB") or doc[index].lower_ == "both"
+        if not is_part or index > preposition.i + 4:
+            return None
+        index += 1
+    if index >= len(doc):
+        return None
+    last = index
+    while last + 1 < len(doc) and doc[last + 1].lower_ in lexicon.POSTURES:
+        last += 1
+    goes_on = last + 1 < len(doc) and doc[last + 1].pos_ in ("ADP", "DET", "PRON")
+    is_participle = doc[index - 1].lower_ in lexicon.POSTURES and doc[index - 1].pos_ in ("VERB", "ADJ")
+    return last if (last > index or is_participle) and not goes_on else None
 
 
 def _object_list_span(objects: list[Token]) -> Span | None:
@@ -224,10 +313,16 @@ def is_run_on_clause(child: Token, head: Token) -> bool:
 
 # Roles
 
+_LOOKED_AT = frozenset("at to toward towards over behind".split())
+"""Prepositions with which looking is an action, not an appearance."""
+
 
 def subject_role(head: Token, has_object: bool) -> str:
     """Choose ARG1 for subjects of passives and of verbs such as "fall", which undergo the motion, else ARG0."""
-    undergoes = head.lemma_.lower() in lexicon.UNACCUSATIVE | lexicon.STATIVE and not has_object
+    lemma = head.lemma_.lower()
+    undergoes = lemma in lexicon.UNACCUSATIVE | lexicon.STATIVE and not has_object
+    if lemma == "look" and any(child.lower_ in lexicon.DIRECTION_ADVERBS | _LOOKED_AT for child in head.children):
+        return "ARG0"
     return "ARG1" if is_passive(head) or undergoes else "ARG0"
 
 
