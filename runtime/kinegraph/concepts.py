@@ -246,14 +246,24 @@ class SamplingPlan:
         return self.weights == CompositionWeights((1.0,))
 
     @staticmethod
-    def for_graph(graph: SemanticGraph) -> SamplingPlan:
-        """Plan for one graph: one term, or more where its edges are weighted.
+    def for_graph(graph: SemanticGraph, negated: Sequence[SemanticGraph] = ()) -> SamplingPlan:
+        """Plan for one graph: one term, or more where its edges are weighted or actions must not happen.
+
+        Args:
+            graph: what should happen.
+            negated: what must not; each counts with `NEGATION_WEIGHT` (EnergyMoGen, Eq. 8).
 
         Raises:
             InvalidGraphError: every action has weight 0.
         """
         graphs, coefficients = zip(*weighted_edge_terms(graph), strict=True)
-        return SamplingPlan(graphs, CompositionWeights(coefficients), (0,))
+        negations = [
+            (term, NEGATION_WEIGHT * coefficient)
+            for unwanted in negated
+            for term, coefficient in weighted_edge_terms(unwanted)
+        ]
+        weights = CompositionWeights(coefficients, negated=tuple(weight for _, weight in negations))
+        return SamplingPlan((*graphs, *(term for term, _ in negations)), weights, (0,))
 
     @staticmethod
     def for_composition(spec: CompositionSpec, graphs: Sequence[SemanticGraph]) -> SamplingPlan:
