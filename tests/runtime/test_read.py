@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from kinegraph import formats
+from kinegraph import cli, formats
 from kinegraph.clip import Clip
 from kinegraph.errors import InvalidInputError
 from kinegraph.formats import READERS, WRITERS, encode, read
@@ -81,6 +81,18 @@ def test_frame_rates_come_back(tmp_path: Path, fps: float) -> None:
     for suffix in READERS:
         clip(walk(9), fps).save(tmp_path / f"a{suffix}")
         assert read(tmp_path / f"a{suffix}").fps == fps
+
+
+def test_every_command_that_makes_clips_writes_the_root_joint(here: Path) -> None:
+    pytest.importorskip("spacy", reason="plain sentences need the text extra")
+    walks, options = "a person walks forward", ["--seconds", "2", "--seed", "7", "--steps", "2", "--quiet"]
+    for number, command in enumerate((["generate", walks], ["compose", "--and", walks], ["sequence", walks, walks])):
+        for suffix in (".glb", ".bvh"):
+            assert cli.main([*command, *options, "-o", f"plain{number}{suffix}"]) == 0
+            assert cli.main([*command, *options, "-o", f"root{number}{suffix}", "--root"]) == 0
+            plain, with_root = (here / f"{kind}{number}{suffix}" for kind in ("plain", "root"))
+            assert (b"root" in plain.read_bytes(), b"root" in with_root.read_bytes()) == (False, True)
+            assert distance(read(plain).joints, read(with_root).joints) < 1e-5
 
 
 def test_a_file_read_and_saved_again_stays_where_it_is(tmp_path: Path) -> None:
@@ -292,7 +304,7 @@ def test_json_that_nests_or_lies_is_refused(tmp_path: Path) -> None:
         {"bundle": None},
     ):
         refused(json.dumps({**good, **change}).encode(), ".json", tmp_path)
-    for key in good.keys() - {"parents", "rest_offsets", "rotations"}:
+    for key in ("joints", "joint_names", "fps", "seed", "text", "bundle"):
         assert key in refused(
             json.dumps({name: good[name] for name in good if name != key}).encode(), ".json", tmp_path
         )
