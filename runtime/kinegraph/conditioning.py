@@ -81,6 +81,27 @@ class ConditionEncoder:
         """Encode the captions of graphs and read their node features off the hidden states."""
         return [encode_caption(self.sessions.text_encoder, self.tokenizer, graph) for graph in graphs]
 
+    def embed(self, sentences: Sequence[str]) -> FloatArray:
+        """Encode sentences to (n, D), each of length 1, in one run; see `text.vocabulary.PhraseEncoder`.
+
+        Raises:
+            ModelError, NonFiniteError: see `bundle.sessions.run_model`.
+        """
+        tokens = [self.tokenizer.encode(sentence) for sentence in sentences]
+        width = max(len(each.ids) for each in tokens)
+        ids, mask = (np.zeros((len(tokens), width), dtype=np.int64) for _ in range(2))
+        for row, each in enumerate(tokens):
+            ids[row, : len(each.ids)], mask[row, : len(each.ids)] = each.ids, each.mask
+        inputs = {"input_ids": ids, "attention_mask": mask}
+        (pooled,) = run_model(self.sessions.text_encoder, ["pooled"], inputs, "the text encoder")
+        lengths = np.linalg.norm(pooled, axis=1, keepdims=True).astype(np.float32)
+        unit: FloatArray = pooled / np.maximum(lengths, np.float32(1e-12))
+        return unit
+
+    def is_word(self, word: str) -> bool:
+        """Tell whether a lower-case word is a word piece of its own; see `text.vocabulary.PhraseEncoder`."""
+        return self.tokenizer.is_word(word)
+
     def attend(self, features: Sequence[GraphArrays]) -> Conditions:
         """Let the nodes of each graph attend to their neighbours (GraphMotion, Eq. 1-3); one row for each graph.
 

@@ -41,11 +41,12 @@ AGD_FILES: Final[frozenset[str]] = frozenset(
 )
 """A bundle has all of the graphs of adaptive gradient descent or none."""
 OPTIONAL_GRAPH_FILES: Final[frozenset[str]] = frozenset(f"{graph}.onnx" for graph in OPTIONAL_GRAPHS)
-OPTIONAL_FILES: Final[frozenset[str]] = OPTIONAL_GRAPH_FILES | {"parser.bin", "arguments.npz"}
+OPTIONAL_FILES: Final[frozenset[str]] = OPTIONAL_GRAPH_FILES | {"parser.bin", "arguments.npz", "vocabulary.npz"}
 """A bundle works without these, with limits.
 
 - Without parser.bin it takes graphs, but no plain sentences.
 - Without arguments.npz its parser labels arguments by rules.
+- Without vocabulary.npz it cannot tell words that it was never shown.
 - Without the coarse decoders it shows no clip before the last level is done.
 - Without the graphs of adaptive gradient descent it refuses to compose with `agd`.
 """

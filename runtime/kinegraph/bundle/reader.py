@@ -15,6 +15,8 @@ from kinegraph.arrays import FloatArray
 from kinegraph.bundle.manifest import GRAPH_FILES, OPTIONAL_GRAPH_FILES, FileSpec, Manifest, decode_manifest
 from kinegraph.bundle.onnx_inspect import check_self_contained
 from kinegraph.bundle.tables import read_tables
+from kinegraph.bundle.vocabulary import FILE as VOCABULARY
+from kinegraph.bundle.vocabulary import Vocabulary, read_vocabulary
 from kinegraph.errors import BundleError, BundleFormatError, BundleIntegrityError
 
 MANIFEST: Final = "manifest.json"
@@ -47,6 +49,8 @@ class Bundle:
     """File name -> content, without the graphs of `contract.OPTIONAL_GRAPHS`."""
     tables: Mapping[str, FloatArray]
     """Arrays of `tables.npz` that the bundle has (`tables.table_shapes`), read-only."""
+    vocabulary: Vocabulary | None = None
+    """Words and phrases that training showed; None if the bundle has no `vocabulary.npz`."""
 
     def read_optional(self, name: str) -> bytes:
         """Read and check the file of an optional graph now; who never uses it does not pay for it.
@@ -69,7 +73,7 @@ def read_bundle(path: Path | None = None) -> Bundle:
 
     Raises:
         BundleError: there is no such folder, or it cannot be read.
-        BundleFormatError: the manifest, the tables or a graph break the format.
+        BundleFormatError: the manifest, the tables, the vocabulary or a graph break the format.
         BundleIntegrityError: a file is missing, extra, not a regular file, or differs from the manifest.
     """
     folder = _folder(path)
@@ -84,7 +88,8 @@ def read_bundle(path: Path | None = None) -> Bundle:
     for name in GRAPH_FILES:
         check_self_contained(files[name], name)
     tables = read_tables(files["tables.npz"], manifest)
-    return Bundle(folder, manifest, MappingProxyType(files), tables)
+    vocabulary = read_vocabulary(files[VOCABULARY], manifest.text.width) if VOCABULARY in files else None
+    return Bundle(folder, manifest, MappingProxyType(files), tables, vocabulary)
 
 
 def _folder(path: Path | None) -> Path:

@@ -64,6 +64,10 @@ class CaptionTokenizer:
             offsets=np.array(encoding.offsets, dtype=np.int64).reshape(-1, 2),
         )
 
+    def is_word(self, word: str) -> bool:
+        """Tell whether a lower-case word is a word piece of its own, as frequent English words are."""
+        return self._tokenizer.token_to_id(word) is not None
+
 
 def check_unicode(text: str) -> None:
     """Refuse unpaired surrogates: they have no UTF-8 encoding, and come from decoding bytes that are not text."""
