@@ -29,9 +29,11 @@ if TYPE_CHECKING:
         ModelError,
         NonFiniteError,
         OutputError,
+        UnknownWordsError,
     )
     from kinegraph.graph import SemanticGraph
     from kinegraph.pipeline import MotionPipeline
+    from kinegraph.unknown import Unknown
 
 __version__ = "0.6.0"
 
@@ -57,6 +59,8 @@ _MODULES: Final[dict[str, str]] = {
     "OutputError": "kinegraph.errors",
     "SemanticGraph": "kinegraph.graph",
     "StepInfo": "kinegraph.diffusion.sampling",
+    "Unknown": "kinegraph.unknown",
+    "UnknownWordsError": "kinegraph.errors",
 }
 
 __all__ = [
@@ -76,6 +80,8 @@ __all__ = [
     "OutputError",
     "SemanticGraph",
     "StepInfo",
+    "Unknown",
+    "UnknownWordsError",
 ]
 
 

@@ -14,6 +14,7 @@ from kinegraph.graph import SemanticGraph
 from kinegraph.motion.blending import make_loop
 from kinegraph.motion.resampling import check_fps, in_place, resample
 from kinegraph.motion.skeleton import DEFAULT_NAMES, JOINTS
+from kinegraph.unknown import Unknown
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,19 +46,26 @@ class Clip:
     loops: bool = False
     """True for a loop, whose last frame equals the first but for travel; files do not store it."""
 
+    unknown: tuple[Unknown, ...] = ()
+    """Words of the text that the bundle was never shown; a bundle without `vocabulary.npz` finds none."""
+
+    notes: tuple[str, ...] = ()
+    """What of the text could not be honoured, a sentence each."""
+
     def __post_init__(self) -> None:
         object.__setattr__(self, "joints", _validate_joints(self.joints))
         check_fps(self.fps)
         whole = isinstance(self.seed, int | np.integer) and not isinstance(self.seed, bool)
         if not whole or not 0 <= self.seed < 2**63:
             raise InvalidInputError(f"seed is {self.seed!r}; it must be a whole number from 0 to 2**63 - 1")
-        for name in ("text", "bundle"):
-            if not isinstance(getattr(self, name), str):
-                raise InvalidInputError(f"{name} is {getattr(self, name)!r}; it must be a string")
-            if any("\ud800" <= character <= "\udfff" for character in getattr(self, name)):
-                raise InvalidInputError(f"{name} holds half a surrogate pair, which is no text")
+        _validate_strings(text=self.text, bundle=self.bundle)
         if not isinstance(self.graph, SemanticGraph | None):
             raise InvalidInputError(f"graph is of type {type(self.graph).__name__}; it must be a SemanticGraph or None")
+        if not isinstance(self.unknown, tuple) or not all(isinstance(words, Unknown) for words in self.unknown):
+            raise InvalidInputError(f"unknown is {self.unknown!r}; it must be a tuple of Unknown")
+        if not isinstance(self.notes, tuple):
+            raise InvalidInputError(f"notes is of type {type(self.notes).__name__}; it must be a tuple of strings")
+        _validate_strings(**{f"notes[{index}]": note for index, note in enumerate(self.notes)})
         object.__setattr__(self, "fps", float(self.fps))
         object.__setattr__(self, "seed", int(self.seed))
 
@@ -134,6 +142,15 @@ class Clip:
 
         check_clip_target(path, force)
         write_atomically(path, encode(self, suffix_of(path, WRITERS), names, root), force=force)
+
+
+def _validate_strings(**values: object) -> None:
+    """Refuse what is no string, or holds half a surrogate pair, by the name of the field."""
+    for name, value in values.items():
+        if not isinstance(value, str):
+            raise InvalidInputError(f"{name} is {value!r}; it must be a string")
+        if any("\ud800" <= character <= "\udfff" for character in value):
+            raise InvalidInputError(f"{name} holds half a surrogate pair, which is no text")
 
 
 def _validate_joints(joints: object) -> FloatArray:

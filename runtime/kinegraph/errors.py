@@ -5,6 +5,11 @@ Every message names the wrong value, what is allowed, and what to do next.
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from kinegraph.unknown import Unknown
+
 
 class KinegraphError(Exception):
     """Base of all errors raised on purpose."""
@@ -16,6 +21,15 @@ class InvalidInputError(KinegraphError, ValueError):
 
 class InvalidGraphError(InvalidInputError):
     """A semantic graph breaks the format, or an edit names a node or edge that does not exist."""
+
+
+class UnknownWordsError(InvalidInputError):
+    """A sentence has words that the bundle was never shown, and the caller asked for `strict`."""
+
+    def __init__(self, message: str, unknown: tuple[Unknown, ...] = ()) -> None:
+        super().__init__(message)
+        self.unknown = unknown
+        """Words and the known phrases nearest to them."""
 
 
 class BundleError(KinegraphError):

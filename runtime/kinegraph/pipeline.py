@@ -19,13 +19,14 @@ from kinegraph.bundle.manifest import Manifest
 from kinegraph.bundle.reader import read_bundle
 from kinegraph.bundle.sessions import Sessions, open_sessions
 from kinegraph.bundle.tables import bones_of
+from kinegraph.bundle.vocabulary import Vocabulary
 from kinegraph.clip import Clip
 from kinegraph.concepts import CompositionSpec, Concept, SamplingPlan, validate_composition
 from kinegraph.conditioning import ConditionEncoder, Conditions, repeat_rows
 from kinegraph.decoding import MotionDecoder
 from kinegraph.denoising import LatentSampler, OnLatent
 from kinegraph.diffusion.sampling import OnStep, subrange_progress
-from kinegraph.errors import InvalidInputError
+from kinegraph.errors import InvalidInputError, UnknownWordsError
 from kinegraph.graph import SemanticGraph
 from kinegraph.limits import MAX_PARTS, MAX_TAKES
 from kinegraph.motion.blending import blend_margin, stitch
@@ -41,6 +42,8 @@ from kinegraph.options import (
 )
 from kinegraph.text.parser import LazyParser, check_caption
 from kinegraph.text.tokenizer import CaptionTokenizer
+from kinegraph.text.vocabulary import find_unknown
+from kinegraph.unknown import Unknown, describe_unknown
 
 OnLevel = Callable[[str, Clip], None]
 """Called after a level of `contract.COARSE_DECODERS`, with its name and the clip as far as it has come."""
@@ -56,11 +59,14 @@ class MotionPipeline:
         tokenizer: CaptionTokenizer,
         tables: Mapping[str, FloatArray],
         parser: LazyParser,
+        vocabulary: Vocabulary | None = None,
     ) -> None:
         self.manifest = manifest
         """What the bundle is: licence, limits, defaults, measured quality."""
         self.parser = parser
         """Text to graph; loaded at the first sentence."""
+        self.vocabulary = vocabulary
+        """What training showed; None where the bundle does not say."""
         self.encoder = ConditionEncoder(sessions, tokenizer, manifest, tables)
         """Graphs to conditions."""
         self.sampler = LatentSampler(sessions, manifest)
@@ -92,14 +98,16 @@ class MotionPipeline:
         bundle = replace(bundle, files={})  # so that only `files` holds the bytes, and a session's go when it is made
         sessions = open_sessions(bundle, threads=threads, options=session_options, files=files)
         tokenizer = CaptionTokenizer(files["tokenizer.json"])
-        return cls(bundle.manifest, sessions, tokenizer, bundle.tables, LazyParser.from_files(files))
+        parser = LazyParser.from_files(files)
+        return cls(bundle.manifest, sessions, tokenizer, bundle.tables, parser, bundle.vocabulary)
 
     def with_sessions(self, sessions: Sessions) -> MotionPipeline:
         """Make a pipeline that runs other sessions, with the same tokenizer, tables and parser.
 
         For hosts that wrap sessions: to count or time runs, or to keep what an encoder said.
         """
-        return MotionPipeline(self.manifest, sessions, self.encoder.tokenizer, self.encoder.tables, self.parser)
+        encoder = self.encoder
+        return MotionPipeline(self.manifest, sessions, encoder.tokenizer, encoder.tables, self.parser, self.vocabulary)
 
     def parse(self, text: str) -> SemanticGraph:
         """Parse a sentence into its semantic graph: look at it, edit it, hand it back to `generate`.
@@ -112,6 +120,37 @@ class MotionPipeline:
         check_caption(text)
         return self.parser().parse(text)
 
+    def find_unknown(self, *texts: str | SemanticGraph, strict: bool = False) -> tuple[Unknown, ...]:
+        """Find what the bundle was never shown in sentences or graphs, the same words once.
+
+        Args:
+            texts: sentences or graphs.
+            strict: refuse them instead of returning.
+
+        Returns:
+            Unknown words with the known phrases nearest to them; none if the bundle has no vocabulary.
+
+        Raises:
+            UnknownWordsError: something is unknown, and `strict` is set.
+            InvalidInputError: `strict` is set and the bundle has no vocabulary; also as in `parse`.
+        """
+        if self.vocabulary is None:
+            if strict:
+                raise InvalidInputError(
+                    f"strict needs a bundle that knows what it was shown, and {self.manifest.name!r} has no "
+                    "vocabulary.npz; leave out strict, or add it: python -m kinegraph_export.vocabulary"
+                )
+            return ()
+        spans = [span for text in texts for span in find_unknown(self.as_graph(text), self.vocabulary, self.encoder)]
+        unknown = tuple({(span.text.lower(), span.reason): span for span in reversed(spans)}.values())[::-1]
+        if unknown and strict:
+            raise UnknownWordsError(
+                f"not known: {describe_unknown(unknown)}; say it in known words (`kinegraph info --words` lists them), "
+                "or leave out strict to take what comes nearest",
+                unknown,
+            )
+        return unknown
+
     def generate(
         self,
         text: str | SemanticGraph,
@@ -121,6 +160,7 @@ class MotionPipeline:
         steps: Steps | None = None,
         guidance: Guidance | None = None,
         foot_fix: bool = True,
+        strict: bool = False,
         on_step: OnStep | None = None,
         on_level: OnLevel | None = None,
     ) -> Clip:
@@ -133,11 +173,13 @@ class MotionPipeline:
             steps: diffusion steps, one number or one per level.
             guidance: guidance scale (Eq. A), one number or one per level.
             foot_fix: lock standing feet where they stand (`motion.postprocess.lock_feet`).
+            strict: refuse words that the bundle was never shown (`find_unknown`); without it the clip names them.
             on_step: called after every step with a `StepInfo`; returning False stops with `Cancelled`.
             on_level: called with each coarser level and the clip as far as it has come, where the bundle can decode it.
 
         Raises:
             InvalidInputError: text or an option is outside what the model takes; nothing has been run.
+            UnknownWordsError: a word is unknown, and `strict` is set; nothing has been sampled.
             Cancelled: `on_step` returned False.
             NonFiniteError: a model produced NaN or infinity.
         """
@@ -147,13 +189,13 @@ class MotionPipeline:
         )
         # 2. Text -> graph; weighted edges make it a composition (Eq. 7, 8)
         graph = self.as_graph(text)
+        unknown = self.find_unknown(graph, strict=strict)
         plan = SamplingPlan.for_graph(graph)
         # 3. Text encoder and graph attention (Eq. 1-3); the sentence may tell the length
         conditions, options = self._encode(plan, options, own_length=seconds is None)
         # 4. Motion -> action -> specific latent; 5. latents -> features -> joints -> clip
-        return self._sample(
-            graph, plan, conditions, options, on_step, self._on_latent(on_level, options, graph.caption)
-        )
+        on_latent = self._on_latent(on_level, options, graph.caption)
+        return replace(self._sample(graph, plan, conditions, options, on_step, on_latent), unknown=unknown)
 
     def takes(
         self,
@@ -166,6 +208,7 @@ class MotionPipeline:
         guidance: Guidance | None = None,
         foot_fix: bool = True,
         shared_run: bool = False,
+        strict: bool = False,
         on_step: OnStep | None = None,
     ) -> list[Clip]:
         """Make several clips for one sentence: a `batch` of it alone, `count` takes, 1 to `limits.MAX_TAKES`."""
@@ -178,6 +221,7 @@ class MotionPipeline:
             guidance=guidance,
             foot_fix=foot_fix,
             shared_run=shared_run,
+            strict=strict,
             on_step=on_step,
         )
 
@@ -192,6 +236,7 @@ class MotionPipeline:
         guidance: Guidance | None = None,
         foot_fix: bool = True,
         shared_run: bool = False,
+        strict: bool = False,
         on_step: OnStep | None = None,
     ) -> list[Clip]:
         """Make clips for many sentences: all takes of the first, then of the second ...
@@ -202,7 +247,7 @@ class MotionPipeline:
             texts: sentences or graphs.
             takes: of each; `limits.MAX_TAKES` clips at most in all.
             seconds: one length, one per sentence, or None for what each asks for.
-            seed, steps, guidance, foot_fix: as in `generate`.
+            seed, steps, guidance, foot_fix, strict: as in `generate`.
             shared_run: let all clips share the runs of the models, which is faster. Sums of a larger run are rounded in
                 another order, so a clip then equals that of `generate` to 0.1 mm in an fp32 bundle only; in an int8
                 bundle one scale spans a run, and clips differ by `batch_mm` of the manifest's parity on average.
@@ -220,17 +265,12 @@ class MotionPipeline:
         ]
         seeds = batch_seeds(options[0].seed, len(options), takes)
         graphs = [self.as_graph(text) for text in texts]
+        unknown = self._unknown_of_each(graphs, strict)
         if shared_run:
-            return self._sample_together(graphs, options, seeds, takes, lengths, on_step)
-        clips = []
-        for index, (graph, length) in enumerate(zip(graphs, lengths, strict=True)):
-            plan = SamplingPlan.for_graph(graph)
-            conditions, text_options = self._encode(plan, options[index], own_length=length is None)
-            for number in range(index * takes, (index + 1) * takes):
-                sample = replace(text_options, seed=seeds[number])
-                progress = subrange_progress(on_step, number, len(seeds))
-                clips.append(self._sample(graph, plan, conditions, sample, progress))
-        return clips
+            clips = self._sample_together(graphs, options, seeds, takes, lengths, on_step)
+        else:
+            clips = self._sample_apart(graphs, options, seeds, takes, lengths, on_step)
+        return [replace(clip, unknown=unknown[index // takes]) for index, clip in enumerate(clips)]
 
     def sequence(
         self,
@@ -241,6 +281,7 @@ class MotionPipeline:
         steps: Steps | None = None,
         guidance: Guidance | None = None,
         foot_fix: bool = True,
+        strict: bool = False,
         on_step: OnStep | None = None,
     ) -> Clip:
         """Make one clip of several sentences, one after another, blended where poses are alike (`motion.blending`).
@@ -250,7 +291,7 @@ class MotionPipeline:
         Args:
             texts: 1 to `limits.MAX_PARTS` sentences or graphs; sentence k is generated with seed + k.
             seconds: of each part: one length, one per sentence, or None for what each asks for.
-            seed, steps, guidance, foot_fix: as in `generate`.
+            seed, steps, guidance, foot_fix, strict: as in `generate`.
             on_step: as in `generate`; its `done` and `total` are those of all parts.
 
         Raises:
@@ -262,11 +303,12 @@ class MotionPipeline:
             for length in lengths
         ]
         graphs = [self.as_graph(text) for text in texts]
+        unknown = self.find_unknown(*graphs, strict=strict)
         seeds = batch_seeds(options[0].seed, len(texts), takes=1, most=MAX_PARTS)
         if len(graphs) == 1:
             plan = SamplingPlan.for_graph(graphs[0])
             conditions, only = self._encode(plan, options[0], own_length=lengths[0] is None)
-            return self._sample(graphs[0], plan, conditions, only, on_step)
+            return replace(self._sample(graphs[0], plan, conditions, only, on_step), unknown=unknown)
         clips, leads, frames = [], [], []
         for index, (graph, length) in enumerate(zip(graphs, lengths, strict=True)):
             plan = SamplingPlan.for_graph(graph)
@@ -285,7 +327,8 @@ class MotionPipeline:
         joints = stitch(
             [clip.joints for clip in clips], self.manifest.fps, leads=leads, lengths=frames, foot_fix=foot_fix
         )
-        return replace(clips[0], joints=joints, text=sequence_caption([clip.text for clip in clips]), graph=None)
+        text = sequence_caption([clip.text for clip in clips])
+        return replace(clips[0], joints=joints, text=text, graph=None, unknown=unknown)
 
     def compose(
         self,
@@ -300,6 +343,7 @@ class MotionPipeline:
         steps: Steps | None = None,
         guidance: Guidance | None = None,
         foot_fix: bool = True,
+        strict: bool = False,
         on_step: OnStep | None = None,
         on_level: OnLevel | None = None,
     ) -> Clip:
@@ -315,7 +359,8 @@ class MotionPipeline:
             agd: step sizes (gamma_attn, gamma_reg) of adaptive gradient descent (Eq. 3, 4), each 0 to 1: EnergyMoGen
                 has (0.0004, 0.0004) for several concepts and (0.001, 0.002) for one sentence of several; the default
                 bundle does best with (0.1, 0.1). None is off.
-            seconds, seed, steps, guidance, foot_fix, on_step, on_level: as in `generate`.
+            seconds, seed, steps, guidance, foot_fix, strict, on_step, on_level: as in `generate`; negated concepts
+                count for `strict`, too.
 
         Raises:
             InvalidInputError: a concept, weight or option is outside what can be composed, or the bundle has no
@@ -326,11 +371,13 @@ class MotionPipeline:
         options = resolve_options(
             self.manifest, seconds=seconds, seed=seed, steps=steps, guidance=guidance, foot_fix=foot_fix
         )
+        named = [concept.text for concept in (*spec.concepts, *spec.negated)]
+        unknown = self.find_unknown(*named, *([] if text is None else [text]), strict=strict)
         conditions, plan, options = self.encode_composition(spec, options, own_length=seconds is None)
         caption = spec.joint.caption if isinstance(spec.joint, SemanticGraph) else spec.joint
         on_latent = self._on_latent(on_level, options, caption)
         latents = self.sampler.sample(conditions, plan.weights, [options], on_step, on_latent)
-        return self.decoder.decode(latents, [options], [caption])[0]
+        return replace(self.decoder.decode(latents, [options], [caption])[0], unknown=unknown)
 
     def encode_composition(
         self, spec: CompositionSpec, options: GenerateOptions, *, own_length: bool
@@ -357,6 +404,12 @@ class MotionPipeline:
         """Return a graph as it is, and parse a sentence."""
         return text if isinstance(text, SemanticGraph) else self.parse(text)
 
+    def _unknown_of_each(self, graphs: Sequence[SemanticGraph], strict: bool) -> list[tuple[Unknown, ...]]:
+        """Find what is unknown in each graph; with `strict`, refuse all of them together."""
+        if strict:
+            self.find_unknown(*graphs, strict=True)
+        return [self.find_unknown(graph) for graph in graphs]
+
     def _encode(
         self, plan: SamplingPlan, options: GenerateOptions, *, own_length: bool
     ) -> tuple[Conditions, GenerateOptions]:
@@ -378,6 +431,26 @@ class MotionPipeline:
         weights = None if plan.is_plain else plan.weights
         latents = self.sampler.sample(conditions, weights, [options], on_step, on_latent)
         return replace(self.decoder.decode(latents, [options], [graph.caption])[0], graph=graph)
+
+    def _sample_apart(
+        self,
+        graphs: Sequence[SemanticGraph],
+        options: Sequence[GenerateOptions],
+        seeds: Sequence[int],
+        takes: int,
+        lengths: Sequence[float | None],
+        on_step: OnStep | None,
+    ) -> list[Clip]:
+        """Make each clip of a batch in runs of its own."""
+        clips = []
+        for index, (graph, length) in enumerate(zip(graphs, lengths, strict=True)):
+            plan = SamplingPlan.for_graph(graph)
+            conditions, text_options = self._encode(plan, options[index], own_length=length is None)
+            for number in range(index * takes, (index + 1) * takes):
+                sample = replace(text_options, seed=seeds[number])
+                progress = subrange_progress(on_step, number, len(seeds))
+                clips.append(self._sample(graph, plan, conditions, sample, progress))
+        return clips
 
     def _sample_together(
         self,

@@ -7,6 +7,7 @@ import gzip
 import hashlib
 import json
 import webbrowser
+from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
 
@@ -20,6 +21,7 @@ from kinegraph.formats import NAMED, READERS, encode
 from kinegraph.formats.html import clips_page
 from kinegraph.formats.npz import read_npz
 from kinegraph.graph import SemanticGraph
+from kinegraph.unknown import Unknown
 from support.cli_runs import fails, whole
 from support.motions import walk
 
@@ -83,12 +85,15 @@ def sha256(text: str) -> str:
 
 
 def test_the_page_holds_the_very_glb_and_what_was_asked_for() -> None:
-    own = clip(text=HOSTILE, graph=whole("a person walks"))
+    juggles = Unknown("juggles", 0, 7, ("bows",))
+    notes = ("\u201ctwice\u201d is not counted",)
+    own = replace(clip(text=HOSTILE, graph=whole("a person walks")), unknown=(juggles,), notes=notes)
     (shown,) = Page(encode(own, ".html")).data["clips"]
     assert gzip.decompress(base64.b64decode(str(shown.pop("glb")))) == encode(own, ".glb")
     graph = whole("a person walks").to_dict()
     assert shown == {
         "text": HOSTILE, "seed": str(2**60), "fps": 20.0, "frames": 20, "bundle": "edge 1.2", "graph": graph,
+        "unknown": [juggles.to_dict()], "notes": list(notes),
     }  # fmt: skip
 
 

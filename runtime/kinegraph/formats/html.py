@@ -48,6 +48,8 @@ def clip_record(clip: Clip) -> dict[str, Any]:
         "frames": clip.frames,
         "bundle": clip.bundle,
         "graph": None if clip.graph is None else clip.graph.to_dict(),
+        "unknown": [words.to_dict() for words in clip.unknown],
+        "notes": clip.notes,
         "glb": base64.b64encode(compressed).decode("ascii"),
     }
 

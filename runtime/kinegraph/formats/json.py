@@ -7,6 +7,8 @@ Holds what `.npz` holds, and the solved skeleton:
     rest_offsets    (22, 3) metres from the parent in a T-pose
     rotations       (frames, 22, 4) quaternions w, x, y, z relative to the parent; the root is at joint 0
     seed            a string, because JavaScript's integers end at 2**53
+    unknown         words that the bundle was never shown: objects of text, start, end, nearest, reason
+    notes           strings: what of the text could not be honoured
 """
 
 from __future__ import annotations
@@ -20,6 +22,7 @@ from numpy.typing import NDArray
 from kinegraph.errors import InvalidInputError
 from kinegraph.motion.kinematics import rotations_from_positions
 from kinegraph.motion.skeleton import JOINT_NAMES, PARENTS
+from kinegraph.unknown import Unknown, read_list
 
 if TYPE_CHECKING:
     from kinegraph.clip import Clip
@@ -35,6 +38,8 @@ def encode(clip: Clip) -> bytes:
         "text": clip.text,
         "seed": str(clip.seed),
         "bundle": clip.bundle,
+        "unknown": [words.to_dict() for words in clip.unknown],
+        "notes": clip.notes,
         "fps": clip.fps,
         "joint_names": JOINT_NAMES,
         "parents": PARENTS,
@@ -60,6 +65,9 @@ def decode(data: bytes) -> dict[str, Any]:
             raise InvalidInputError(f"it has other joints; kinegraph reads {', '.join(JOINT_NAMES)}")
         joints = np.array(document["joints"], dtype=np.float64)
         fields = {name: document[name] for name in ("text", "bundle", "fps")}
+        # files of older versions have neither of the two
+        unknown, notes = (read_list(document.get(name, []), name) for name in ("unknown", "notes"))
+        fields |= {"unknown": tuple(map(Unknown.from_dict, unknown)), "notes": tuple(notes)}
         return {"joints": joints, "seed": parse_seed(document["seed"]), **fields}
     except KeyError as error:
         raise InvalidInputError(f"it has no {error}") from error

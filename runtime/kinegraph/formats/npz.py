@@ -1,17 +1,19 @@
 """`.npz`: the clip as NumPy arrays, without pickle; the format that keeps everything.
 
-Holds `joints` (frames, 22, 3) float32 metres, `fps`, `seed`, `text`, `joint_names`, `bundle`, and `graph`, the JSON of
-the semantic graph where the clip has one.
+Holds `joints` (frames, 22, 3) float32 metres, `fps`, `seed`, `text`, `joint_names`, `bundle`, and as JSON `graph`,
+`unknown` and `notes` where the clip has them.
 """
 
 from __future__ import annotations
 
 import io
+import json
 import math
 import os
 import sys
 import zipfile
 import zlib
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
@@ -20,6 +22,7 @@ from numpy.typing import NDArray
 from kinegraph.errors import InvalidInputError
 from kinegraph.graph import SemanticGraph
 from kinegraph.motion.skeleton import JOINT_NAMES
+from kinegraph.unknown import Unknown, read_list
 
 if TYPE_CHECKING:
     from kinegraph.clip import Clip
@@ -39,6 +42,10 @@ MAX_ARRAY_BYTES: Final = 1 << 27
 
 _NAMES: Final = ("joints", "fps", "seed", "text", "joint_names", "bundle")
 _GRAPH: Final = "graph"
+_UNKNOWN: Final = "unknown"
+_NOTES: Final = "notes"
+_OPTIONAL: Final = (_GRAPH, _UNKNOWN, _NOTES)
+"""JSON texts that a file may lack; those of older versions do."""
 
 
 def encode(clip: Clip) -> bytes:
@@ -56,6 +63,10 @@ def encode(clip: Clip) -> bytes:
     }
     if clip.graph is not None:
         arrays[_GRAPH] = np.array(clip.graph.to_json())
+    if clip.unknown:
+        arrays[_UNKNOWN] = np.array(_to_json([words.to_dict() for words in clip.unknown]))
+    if clip.notes:
+        arrays[_NOTES] = np.array(_to_json(clip.notes))
     buffer = io.BytesIO()
     with zipfile.ZipFile(buffer, "w", zipfile.ZIP_STORED) as archive:
         for name in arrays:
@@ -89,7 +100,7 @@ def decode(data: bytes) -> dict[str, Any]:
     try:
         with zipfile.ZipFile(io.BytesIO(data)) as archive:
             stored = {*archive.namelist()}
-            names = (*_NAMES, *([_GRAPH] if f"{_GRAPH}.npy" in stored else []))
+            names = (*_NAMES, *(name for name in _OPTIONAL if f"{name}.npy" in stored))
             fields = {name: _read_array(archive, name) for name in names}
         if tuple(fields.pop("joint_names").ravel().tolist()) != JOINT_NAMES:
             raise InvalidInputError(f"it has other joints; kinegraph reads {', '.join(JOINT_NAMES)}")
@@ -99,11 +110,17 @@ def decode(data: bytes) -> dict[str, Any]:
             raise InvalidInputError(f"{', '.join(not_scalar)} must be a single value each")
         values = {name: value.item() for name, value in fields.items()}
         graph = SemanticGraph.from_json(values.pop(_GRAPH)) if _GRAPH in values else None
+        unknown, notes = (read_list(json.loads(values.pop(name, "[]")), name) for name in (_UNKNOWN, _NOTES))
+        words = tuple(map(Unknown.from_dict, unknown))
     except InvalidInputError:
         raise
-    except _UNREADABLE as error:
+    except (*_UNREADABLE, RecursionError) as error:
         raise InvalidInputError(str(error)) from error
-    return {"joints": joints, "graph": graph, **values}
+    return {"joints": joints, "graph": graph, "unknown": words, "notes": tuple(notes), **values}
+
+
+def _to_json(value: Sequence[Any]) -> str:
+    return json.dumps(value, ensure_ascii=False, separators=(",", ":"))
 
 
 def _read_array(archive: zipfile.ZipFile, name: str) -> NDArray[Any]:
