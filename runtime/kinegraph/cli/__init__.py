@@ -18,6 +18,7 @@ from kinegraph.cli.arguments import (
     add_bundle,
     add_compose,
     add_generate,
+    add_info,
     add_parse,
     add_play,
     add_sequence,
@@ -46,7 +47,7 @@ COMMANDS: Final[tuple[tuple[str, str, AddArguments, Run], ...]] = (
     ("view", "show saved clips in the browser", add_view, view),
     ("play", "make clips in the browser, on this machine", add_play, play),
     ("parse", "print or draw the semantic graph of a sentence", add_parse, parse),
-    ("info", "describe a bundle: abilities, licences, provenance, sizes, quality", add_bundle, info),
+    ("info", "describe a bundle: abilities, licences, provenance, sizes, quality", add_info, info),
     ("verify", "check every file, operator and session of a bundle", add_bundle, verify),
     ("bench", "measure the speed of a bundle on this machine, stage by stage", add_bench, run_bench),
 )

@@ -5,14 +5,29 @@ from __future__ import annotations
 import argparse
 from functools import partial
 from pathlib import Path
+from typing import Final
 
 from kinegraph.errors import InvalidInputError
 
+KNOWN_PHRASES: Final = (
+    "The default bundle was shown: XX. "
+    "`kinegraph info --words` lists them with a sentence and the number of clips. Other words are told on stderr."
+)
+"""End of the help of `generate`; a test compares it with the default bundle, as reading that takes too long."""
+
 
 def add_bundle(parser: argparse.ArgumentParser) -> None:
-    """Add the arguments of `info` and `verify`, which many commands share."""
+    """Add the arguments of `verify`, which many commands share."""
     _add_bundle_path(parser)
     parser.add_argument("--json", action="store_true", help="print one JSON object on one line")
+
+
+def add_info(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of `info`."""
+    parser.add_argument(
+        "--words", action="store_true", help="list the actions and styles that the bundle was shown, with an example"
+    )
+    add_bundle(parser)
 
 
 def add_bench(parser: argparse.ArgumentParser) -> None:
@@ -26,6 +41,7 @@ def add_bench(parser: argparse.ArgumentParser) -> None:
 
 def add_generate(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of `generate`."""
+    parser.epilog = KNOWN_PHRASES
     parser.add_argument("text", nargs="?", help="the sentence, e.g. 'a person walks forward and waves'")
     _add_edits(parser)
     _add_seconds(parser)
@@ -162,6 +178,9 @@ def _add_sampling_and_output(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--guidance", type=_floats, metavar="X[,X,X]", help="guidance scale: one, or one per level")
     parser.add_argument("--no-foot-fix", dest="foot_fix", action="store_false", help="do not lock standing feet")
+    parser.add_argument(
+        "--strict", action="store_true", help="refuse words that the bundle was never shown; nothing is written"
+    )
     _add_threads(parser)
     _add_force(parser)
     parser.add_argument("--progress", action="store_true", help="show progress even if stderr is no terminal")

@@ -51,6 +51,6 @@ def as_json(value: object, *, pretty: bool = False) -> str:
     return json.dumps(value, ensure_ascii=not utf8, indent=2 if pretty else None)
 
 
-def one_line(error: BaseException) -> str:
-    """Return the message of an error on one line, whatever text it quotes."""
-    return " ".join(str(error).split())
+def one_line(message: object) -> str:
+    """Return a message or the text of an error on one line, whatever it quotes."""
+    return " ".join(str(message).split())

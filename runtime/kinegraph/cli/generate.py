@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import argparse
+import sys
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 
-from kinegraph.cli.console import Progress, as_json
+from kinegraph.cli.console import Progress, as_json, one_line
 from kinegraph.cli.inputs import apply_edits, load_pipeline, parse_concepts, read_text_or_graph, take_paths
 from kinegraph.errors import OutputError
+from kinegraph.unknown import describe_unknown
 
 # Modules that load numpy or onnxruntime are imported where they are used: `--help` must be instant.
 if TYPE_CHECKING:
@@ -32,11 +34,12 @@ class SamplingOptions:
     steps: Steps | None
     guidance: Guidance | None
     foot_fix: bool
+    strict: bool
 
     @classmethod
     def from_args(cls, args: argparse.Namespace) -> Self:
         """Take the options of a command."""
-        return cls(seed=args.seed, steps=args.steps, guidance=args.guidance, foot_fix=args.foot_fix)
+        return cls(seed=args.seed, steps=args.steps, guidance=args.guidance, foot_fix=args.foot_fix, strict=args.strict)
 
 
 def generate(args: argparse.Namespace) -> int:
@@ -58,6 +61,7 @@ def generate(args: argparse.Namespace) -> int:
                 steps=sampling.steps,
                 guidance=sampling.guidance,
                 foot_fix=sampling.foot_fix,
+                strict=sampling.strict,
                 on_step=on_step,
             )
 
@@ -71,6 +75,7 @@ def generate(args: argparse.Namespace) -> int:
             steps=sampling.steps,
             guidance=sampling.guidance,
             foot_fix=sampling.foot_fix,
+            strict=sampling.strict,
             on_step=on_step,
         )
 
@@ -98,6 +103,7 @@ def compose(args: argparse.Namespace) -> int:
                 steps=sampling.steps,
                 guidance=sampling.guidance,
                 foot_fix=sampling.foot_fix,
+                strict=sampling.strict,
                 on_step=on_step,
             )
 
@@ -139,6 +145,7 @@ def sequence(args: argparse.Namespace) -> int:
                 steps=sampling.steps,
                 guidance=sampling.guidance,
                 foot_fix=sampling.foot_fix,
+                strict=sampling.strict,
                 on_step=on_step,
             )
 
@@ -195,6 +202,8 @@ def _run(args: argparse.Namespace, targets: Sequence[Path], make_clips: MakeClip
         clips = make_clips(pipeline, progress.show)
     clips = [_post_process(clip, args) for clip in clips]
     generated = time.perf_counter()
+    if not args.quiet:
+        _tell_unknown(clips[0])  # takes of one text share it
     for target, clip in zip(targets, clips, strict=True):
         write_start = time.perf_counter()
         clip.save(target, force=args.force, names=args.names, root=args.root)
@@ -205,6 +214,8 @@ def _run(args: argparse.Namespace, targets: Sequence[Path], make_clips: MakeClip
             "fps": clip.fps,
             "seed": clip.seed,
             "bundle": f"{pipeline.manifest.name} {pipeline.manifest.version}",
+            "unknown": [words.to_dict() for words in clip.unknown],
+            "notes": list(clip.notes),
             "load_ms": round(1000 * (loaded - start), 1),
             "generate_ms": round(1000 * (generated - loaded), 1),
             "write_ms": round(1000 * (time.perf_counter() - write_start), 1),
@@ -218,6 +229,14 @@ def _post_process(clip: Clip, args: argparse.Namespace) -> Clip:
     clip = clip.looped(foot_fix=args.foot_fix) if args.loop else clip
     clip = clip.in_place() if args.in_place else clip
     return clip if args.fps is None else clip.resampled(args.fps)
+
+
+def _tell_unknown(clip: Clip) -> None:
+    """Print on stderr what of the text the bundle was never shown, and what it could not honour."""
+    if clip.unknown:
+        print(f"kinegraph: not known: {one_line(describe_unknown(clip.unknown))}", file=sys.stderr)
+    for note in clip.notes:
+        print(f"kinegraph: {one_line(note)}", file=sys.stderr)
 
 
 def _report(record: dict[str, Any], args: argparse.Namespace) -> None:

@@ -56,8 +56,13 @@ def info(args: argparse.Namespace) -> int:
     """Run `kinegraph info`."""
     from kinegraph.bundle.reader import read_bundle
 
-    record = info_record(read_bundle(args.bundle))
-    print(as_json(record) if args.json else info_text(record))
+    bundle = read_bundle(args.bundle)
+    if args.words:
+        known = words_record(bundle)
+        print(as_json(known) if args.json else words_text(known))
+    else:
+        record = info_record(bundle)
+        print(as_json(record) if args.json else info_text(record))
     return 0
 
 
@@ -140,6 +145,42 @@ def info_text(record: Mapping[str, Any]) -> str:
     lines += _section("quality", record["quality"])
     lines += _section("parity (largest difference; int8: relative; mm: mean of joints)", record["parity"])
     lines += _section("files", {name: _megabytes(size) for name, size in sizes.items()})
+    return "\n".join(lines)
+
+
+def words_record(bundle: Bundle) -> dict[str, Any]:
+    """Collect what `info --words` lists as plain JSON values; actions and styles are None without a vocabulary."""
+    record: dict[str, Any] = {"name": bundle.manifest.name, "version": bundle.manifest.version}
+    for kind in ("action", "style"):
+        record[f"{kind}s"] = (
+            None
+            if bundle.vocabulary is None
+            else [
+                {
+                    "name": phrase.name,
+                    "example": phrase.example,
+                    "clips": phrase.clips,
+                    "wordings": list(phrase.wordings),
+                }
+                for phrase in bundle.vocabulary.facts.phrases
+                if phrase.kind == kind
+            ]
+        )
+    return record
+
+
+def words_text(record: Mapping[str, Any]) -> str:
+    """Format the list of `info --words`; `record` is from `words_record`."""
+    title = f"{record['name']} {record['version']}"
+    if record["actions"] is None:
+        return (
+            f"{title} does not know what it was shown: it has no vocabulary.npz, and so tells no unknown words. "
+            "`kinegraph info` prints what its maker says of it; `python -m kinegraph_export.vocabulary` adds the file"
+        )
+    lines = [f"{title} was shown these, in recorded clips, and their compositions; other words are told"]
+    for kind in ("actions", "styles"):
+        rows = {phrase["name"]: f"{phrase['clips']:>5}  {phrase['example']}" for phrase in record[kind]}
+        lines += _section(kind, rows)
     return "\n".join(lines)
 
 
