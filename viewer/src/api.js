@@ -1,4 +1,4 @@
-// The server's four calls. It keeps nothing about us; the tab's number only says whose turn it is.
+// The server's five calls. It keeps nothing about us; the tab's number only says whose turn it is.
 const TAB = crypto.getRandomValues(new Uint32Array(2)).join("-");
 
 async function post(path, value, signal) {
@@ -17,6 +17,9 @@ async function post(path, value, signal) {
 export const parse = async (text, signal) => (await post("/api/parse", { text }, signal)).json();
 
 export const edit = async (graph, change) => (await post("/api/edit", { graph, edit: change })).json();
+
+/** What the bundle was never shown in a graph's sentence. */
+export const unknown = async (graph, signal) => (await post("/api/unknown", { graph }, signal)).json();
 
 /** The file of the clip that a wish with a seed makes. */
 export const file = async (wish, suffix, names) => (await post("/api/file", { wish, suffix, names })).blob();

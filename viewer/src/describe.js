@@ -1,6 +1,7 @@
 // What stands beside clips that are in the page: caption, facts, graph.
 import { element } from "./elements.js";
 import { drawGraph, nodesOf } from "./graph.js";
+import { tell } from "./told.js";
 
 /** "4.0 s, 80 frames at 20 per second, seed 7, edge 0.2.0". */
 export function facts(clip) {
@@ -23,6 +24,9 @@ export function describeClips(side, clips) {
   side.append(element("header", {}, element("h1", {}, "kinegraph")));
   for (const clip of clips) {
     const box = element("section", { class: "clip" }, element("h2", {}, clip.text), element("p", { class: "facts" }, facts(clip)));
+    const told = element("div", { class: "told" });
+    tell(told, clip);
+    box.append(told);
     if (clip.graph) {
       const graph = element("div", { class: "graph" });
       drawGraph(graph, clip.graph, clip.text);

@@ -39,7 +39,7 @@ export function drawGraph(box, graph, title, edit = null) {
       parts.append(element("li", {}, row(part, nodes.indexOf(part) + 1, ROLES[part.role] ?? part.role, edit)));
     }
     if (edit) parts.append(element("li", { class: "add" }, adder("Add a detail", edit, { kind: "argument", node: number })));
-    list.append(element("li", {}, row(action, number, "action", edit), parts));
+    list.append(element("li", {}, row(action, number, action.negated ? "must not happen" : "action", edit), parts));
   }
   if (edit) list.append(element("li", { class: "add" }, adder("Add an action", edit, { kind: "action" })));
   const caption = graph.caption === title ? [] : [element("p", { class: "caption" }, words(graph.caption))];
@@ -55,7 +55,7 @@ function words(text) {
 function row(node, number, role, edit) {
   const code = node.role ?? "ARGM-MA";
   const said = edit ? renamed(node, number, edit) : words(node.text);
-  const head = [element("span", { class: "role", title: code }, role), said];
+  const head = [element("span", { class: node.negated ? "role not" : "role", title: code }, role), said];
   const weight = element("output", {}, shown(node.weight));
   if (!edit) {
     const bar = element("span", { class: "weight", title: "weight of the edge" }, weight);

@@ -1,11 +1,12 @@
 // The graph of the sentence in the box: parsed while one types, edited by the server, weighed here.
 import * as api from "./api.js";
 import { drawGraph, isPlain, withWeight } from "./graph.js";
+import { tell } from "./told.js";
 
 const PAUSE = 350; // milliseconds without a key before a sentence is parsed
 
 export function createGraphEditor(side, text, play, { again, fail }) {
-  const [section, box, reset] = [".graph-box", ".graph", ".as-parsed"].map((name) => side.querySelector(name));
+  const [section, box, reset, told] = [".graph-box", ".graph", ".as-parsed", "#told"].map((name) => side.querySelector(name));
   let graph = null;
   let source = null; // the sentence that the graph belongs to
   let edited = false;
@@ -22,6 +23,13 @@ export function createGraphEditor(side, text, play, { again, fail }) {
     reset.hidden = !edited;
     section.hidden = !shown || !graph;
     if (graph) drawGraph(box, graph, source, { weigh, change, roles: play.roles });
+    look(graph);
+  }
+
+  /** Tell under the sentence what the bundle does not know of it. */
+  async function look(own) {
+    const answer = own ? await api.unknown(own).catch(() => ({})) : {};
+    if (own === graph) tell(told, answer);
   }
 
   function weigh(number, weight) {

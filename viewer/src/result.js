@@ -3,6 +3,7 @@ import * as api from "./api.js";
 import { facts } from "./describe.js";
 import { element } from "./elements.js";
 import { linkOf } from "./link.js";
+import { tell } from "./told.js";
 
 export function createResult(box, play, fail) {
   const [names, link] = [".names", ".link"].map((name) => box.querySelector(name));
@@ -39,6 +40,7 @@ export function createResult(box, play, fail) {
       wish = asked;
       box.hidden = false;
       box.querySelector(".facts").textContent = facts(made.clip);
+      tell(box.querySelector(".told"), made.clip);
       const row = (stage, ms, seen) =>
         element("div", { class: seen && "seen" }, element("dt", {}, stage), element("dd", {}, `${ms.toFixed(0)} ms`));
       box.querySelector(".stages").replaceChildren(

@@ -1,7 +1,7 @@
 """`kinegraph play`: a page on loopback that generates clips while one watches. Needs the extra `play`.
 
     middleware.py   admits requests of this machine's own pages, of bounded size
-    app.py          the page and four calls: parse, edit, a clip as a stream of events, a file of it
+    app.py          the page and five calls: parse, unknown words, edit, a clip as a stream of events, a file of it
     schemas.py      the JSON of a request as typed, checked values
     jobs.py         one clip: its events, the result, and the time of each stage
     fair_queue.py   one clip at a time, tab by tab

@@ -1,4 +1,4 @@
-"""The web application of the playground: the page, and four calls that keep no state."""
+"""The web application of the playground: the page, and five calls that keep no state."""
 
 from __future__ import annotations
 
@@ -24,7 +24,14 @@ from kinegraph.pipeline import MotionPipeline
 from kinegraph.playground.fair_queue import FairQueue, TooBusyError
 from kinegraph.playground.jobs import GenerationJob, generate_clip
 from kinegraph.playground.middleware import LoopbackOnlyMiddleware
-from kinegraph.playground.schemas import ClipRequest, apply_edit, parse_caption, parse_clip_request, parse_json
+from kinegraph.playground.schemas import (
+    ClipRequest,
+    apply_edit,
+    parse_caption,
+    parse_clip_request,
+    parse_graph,
+    parse_json,
+)
 
 T = TypeVar("T")
 
@@ -66,6 +73,13 @@ class Playground:
         async with self._parse_queue.turn(_tab(request)):
             graph = await asyncio.to_thread(self._pipeline.parse, text)
         return JSONResponse(graph.to_dict())
+
+    async def unknown(self, request: Request) -> Response:
+        """Find what the bundle was never shown in the sentence of {graph}, and answer with {unknown}."""
+        graph = parse_graph(parse_json(await request.body()))
+        async with self._parse_queue.turn(_tab(request)):
+            unknown = await asyncio.to_thread(self._pipeline.find_unknown, graph)
+        return JSONResponse({"unknown": [words.to_dict() for words in unknown]})
 
     async def edit(self, request: Request) -> Response:
         """Apply the edit of {graph, edit} and answer with the graph."""
@@ -180,7 +194,7 @@ async def _answer_unknown(request: Request, error: Exception) -> Response:
 def application(playground: Playground, port: int) -> LoopbackOnlyMiddleware:
     """Build the ASGI application of a playground, behind its middleware."""
     routes = [Route("/", playground.page)]
-    for name in ("parse", "edit", "clip", "file"):
+    for name in ("parse", "unknown", "edit", "clip", "file"):
         routes.append(Route(f"/api/{name}", getattr(playground, name), methods=["POST"]))
     handlers: dict[Any, Any] = {KinegraphError: _answer_error, 404: _answer_unknown, 405: _answer_unknown}
     return LoopbackOnlyMiddleware(Starlette(routes=routes, exception_handlers=handlers), port)

@@ -71,6 +71,17 @@ def parse_caption(record: Mapping[str, Any]) -> str:
     return str(text)
 
 
+def parse_graph(record: Mapping[str, Any]) -> SemanticGraph:
+    """Read the graph of a request {graph}.
+
+    Raises:
+        InvalidInputError: unknown keys.
+        InvalidGraphError: an invalid graph.
+    """
+    _check_keys(record, {"graph"})
+    return SemanticGraph.from_dict(record.get("graph"))
+
+
 def parse_clip_request(record: Mapping[str, Any]) -> ClipRequest:
     """Read a request for a clip.
 
