@@ -53,6 +53,8 @@ def list_benchmarks(options: argparse.Namespace) -> list[Benchmark]:
         Benchmark("waves", "quality.waves", "Waves at any length", data),
         Benchmark("sequences", "quality.sequences", "Parts of sequences", data),
         Benchmark("take_equality", "quality.take_equality", "Takes and the clips of their seeds", ()),
+        Benchmark("negations", "quality.negations", "Actions that must not happen", data),
+        Benchmark("wording", "quality.wording", "Directions, orders and lengths in words", data),
         Benchmark("foot_fix", "quality.foot_fix", "Feet held, and not", data),
         Benchmark("evaluate", "quality.evaluate", "The default bundle", (*data, *held_out, *work, *repeats)),
         Benchmark("masked_verbs", "quality.masked_verbs", "Verbs masked (GraphMotion, Table 6)", (*data, *work)),
