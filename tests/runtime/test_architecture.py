@@ -48,7 +48,7 @@ def test_one_clip_passes_through_few_files(toy: MotionPipeline, text: Any, figur
     visited = files_visited(lambda: toy.generate(text, **ONE_STEP))
     kind = "a sentence" if isinstance(text, str) else "a graph"
     figure(f"one clip of {kind} runs in {len(visited)} files of the project (limit {MOST_FILES})")
-    assert len(visited) <= MOST_FILES, sorted(visited)
+    assert len(visited) <= MOST_FILES, "\n".join(sorted(visited))
 
 
 @pytest.fixture(scope="module")
