@@ -21,6 +21,8 @@ from kinegraph.validation import finite_number, short_repr, whole_number
 
 MAX_GUIDANCE: Final = 20.0
 MAX_SEED: Final = 2**63
+_PART_SEED_STRIDE: Final = 1_000_003
+"""Distance of the seeds of a sentence's parts, so that they are none of its next takes."""
 
 Steps = int | Sequence[int] | Mapping[str, int]
 """One number for all levels, three in the order of `contract.LEVELS`, or some of them by name."""
@@ -190,6 +192,21 @@ def batch_seeds(first: int, texts: int, takes: object, most: int = MAX_TAKES) ->
     if texts * number > most:
         raise InvalidInputError(f"{texts} sentences of {number} takes; {most} clips at most in one call")
     return [validate_seed(first + index) for index in range(texts * number)]
+
+
+def part_seed(seed: int, index: int) -> int:
+    """Derive the seed of a part of one sentence; the first part has the sentence's own."""
+    return (seed + index * _PART_SEED_STRIDE) % MAX_SEED
+
+
+def with_seconds(options: GenerateOptions, manifest: Manifest, seconds: float) -> GenerateOptions:
+    """Replace the length of a clip.
+
+    Raises:
+        InvalidInputError: see `frame_count`.
+    """
+    frames = frame_count(manifest, seconds)
+    return replace(options, frames=frames, seconds=frames / manifest.fps)
 
 
 def with_margins(

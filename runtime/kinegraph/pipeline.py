@@ -4,12 +4,14 @@ text  --parser-->   semantic graph            text/parser.py, graph.py
 graph --encoder-->  conditions                conditioning.py   text encoder, graph attention (Eq. 1-3)
       --sampler-->  latents                   denoising.py      motion -> action -> specific; diffusion/
       --decoder-->  joints, feet, clip        decoding.py, motion/
+
+Above 500 lines because all public calls are here, each with all its options and errors documented.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import onnxruntime
@@ -22,7 +24,7 @@ from kinegraph.bundle.tables import bones_of
 from kinegraph.bundle.vocabulary import Vocabulary
 from kinegraph.clip import Clip
 from kinegraph.concepts import CompositionSpec, Concept, SamplingPlan, validate_composition
-from kinegraph.conditioning import ConditionEncoder, Conditions, repeat_rows
+from kinegraph.conditioning import ConditionEncoder, Conditions, GraphArrays, repeat_rows
 from kinegraph.decoding import MotionDecoder
 from kinegraph.denoising import LatentSampler, OnLatent
 from kinegraph.diffusion.sampling import OnStep, subrange_progress
@@ -35,11 +37,14 @@ from kinegraph.options import (
     Guidance,
     Steps,
     batch_seeds,
+    part_seed,
     resolve_options,
     sequence_caption,
     validate_lengths,
     with_margins,
+    with_seconds,
 )
+from kinegraph.request import NEVER_STOOD, STANDING, interpret, share_frames, split_in_order
 from kinegraph.text.parser import LazyParser, check_caption
 from kinegraph.text.tokenizer import CaptionTokenizer
 from kinegraph.text.vocabulary import find_unknown
@@ -47,6 +52,36 @@ from kinegraph.unknown import Unknown, describe_unknown
 
 OnLevel = Callable[[str, Clip], None]
 """Called after a level of `contract.COARSE_DECODERS`, with its name and the clip as far as it has come."""
+
+
+@dataclass(frozen=True)
+class _EncodedPart:
+    """A graph that is sampled at once, with any seed."""
+
+    graph: SemanticGraph
+    plan: SamplingPlan
+    features: list[GraphArrays]
+    """Of the plan's graphs."""
+    conditions: Conditions
+    options: GenerateOptions
+    notes: tuple[str, ...]
+    is_timed: bool
+    """Whether the sentence says how long it takes."""
+
+    def with_options(self, options: GenerateOptions) -> _EncodedPart:
+        return replace(self, options=options)
+
+
+@dataclass(frozen=True)
+class _EncodedSentence:
+    """A sentence as one part, or as parts that follow one another."""
+
+    graph: SemanticGraph
+    parts: tuple[_EncodedPart, ...]
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        return tuple(dict.fromkeys(note for part in self.parts for note in part.notes))
 
 
 class MotionPipeline:
@@ -141,7 +176,7 @@ class MotionPipeline:
                     "vocabulary.npz; leave out strict, or add it: python -m kinegraph_export.vocabulary"
                 )
             return ()
-        spans = [span for text in texts for span in find_unknown(self.as_graph(text), self.vocabulary, self.encoder)]
+        spans = [span for text in texts for span in self._unknown_spans(self.as_graph(text), self.vocabulary)]
         unknown = tuple({(span.text.lower(), span.reason): span for span in reversed(spans)}.values())[::-1]
         if unknown and strict:
             raise UnknownWordsError(
@@ -166,6 +201,11 @@ class MotionPipeline:
     ) -> Clip:
         """Make a clip for a sentence or a graph. The same arguments give the same clip, bit for bit.
 
+        Negated actions ("without waving") are taken away (Eq. 8). A length in words ("for four seconds") holds where
+        `seconds` is not given. Actions in order ("walks, then bows") are made one by one and joined where the clip is
+        too short for the model to do them in one (`request.SECONDS_PER_ACTION`). What the sentence asks for and does
+        not get stands in the clip's `notes`.
+
         Args:
             text: a sentence, or its graph; weighted edges count as `concepts.weighted_edge_terms` says.
             seconds: length; None lets the sentence decide, as far as the bundle knows how long such motions take.
@@ -175,7 +215,8 @@ class MotionPipeline:
             foot_fix: lock standing feet where they stand (`motion.postprocess.lock_feet`).
             strict: refuse words that the bundle was never shown (`find_unknown`); without it the clip names them.
             on_step: called after every step with a `StepInfo`; returning False stops with `Cancelled`.
-            on_level: called with each coarser level and the clip as far as it has come, where the bundle can decode it.
+            on_level: called with each coarser level and the clip as far as it has come, where the bundle can decode it;
+                not for a clip made of parts.
 
         Raises:
             InvalidInputError: text or an option is outside what the model takes; nothing has been run.
@@ -187,15 +228,13 @@ class MotionPipeline:
         options = resolve_options(
             self.manifest, seconds=seconds, seed=seed, steps=steps, guidance=guidance, foot_fix=foot_fix
         )
-        # 2. Text -> graph; weighted edges make it a composition (Eq. 7, 8)
+        # 2. Text -> graph; what it asks for: words, lengths, negations, weighted edges (Eq. 7, 8)
         graph = self.as_graph(text)
         unknown = self.find_unknown(graph, strict=strict)
-        plan = SamplingPlan.for_graph(graph)
         # 3. Text encoder and graph attention (Eq. 1-3); the sentence may tell the length
-        conditions, options = self._encode(plan, options, own_length=seconds is None)
+        encoded = self._encode_sentence(graph, options, own_length=seconds is None)
         # 4. Motion -> action -> specific latent; 5. latents -> features -> joints -> clip
-        on_latent = self._on_latent(on_level, options, graph.caption)
-        return replace(self._sample(graph, plan, conditions, options, on_step, on_latent), unknown=unknown)
+        return replace(self._make_clip(encoded, options.seed, on_step, on_level), unknown=unknown)
 
     def takes(
         self,
@@ -266,10 +305,17 @@ class MotionPipeline:
         seeds = batch_seeds(options[0].seed, len(options), takes)
         graphs = [self.as_graph(text) for text in texts]
         unknown = self._unknown_of_each(graphs, strict)
+        sentences = [
+            self._encode_sentence(graph, option, own_length=length is None, in_order=not shared_run)
+            for graph, option, length in zip(graphs, options, lengths, strict=True)
+        ]
         if shared_run:
-            clips = self._sample_together(graphs, options, seeds, takes, lengths, on_step)
+            clips = self._make_together(sentences, seeds, takes, on_step)
         else:
-            clips = self._sample_apart(graphs, options, seeds, takes, lengths, on_step)
+            clips = [
+                self._make_clip(sentences[index // takes], value, subrange_progress(on_step, index, len(seeds)))
+                for index, value in enumerate(seeds)
+            ]
         return [replace(clip, unknown=unknown[index // takes]) for index, clip in enumerate(clips)]
 
     def sequence(
@@ -305,30 +351,20 @@ class MotionPipeline:
         graphs = [self.as_graph(text) for text in texts]
         unknown = self.find_unknown(*graphs, strict=strict)
         seeds = batch_seeds(options[0].seed, len(texts), takes=1, most=MAX_PARTS)
-        if len(graphs) == 1:
-            plan = SamplingPlan.for_graph(graphs[0])
-            conditions, only = self._encode(plan, options[0], own_length=lengths[0] is None)
-            return replace(self._sample(graphs[0], plan, conditions, only, on_step), unknown=unknown)
-        clips, leads, frames = [], [], []
-        for index, (graph, length) in enumerate(zip(graphs, lengths, strict=True)):
-            plan = SamplingPlan.for_graph(graph)
-            conditions, part = self._encode(plan, options[index], own_length=length is None)
-            lead, sampled = with_margins(
-                part,
-                self.manifest,
-                first=index == 0,
-                last=index == len(graphs) - 1,
-                margin=blend_margin(self.manifest.fps),
-            )
-            progress = subrange_progress(on_step, index, len(graphs))
-            clips.append(self._sample(graph, plan, conditions, replace(sampled, seed=seeds[index]), progress))
-            leads.append(lead)
-            frames.append(part.frames)
-        joints = stitch(
-            [clip.joints for clip in clips], self.manifest.fps, leads=leads, lengths=frames, foot_fix=foot_fix
-        )
-        text = sequence_caption([clip.text for clip in clips])
-        return replace(clips[0], joints=joints, text=text, graph=None, unknown=unknown)
+        sentences = [
+            self._encode_sentence(graph, option, own_length=length is None)
+            for graph, option, length in zip(graphs, options, lengths, strict=True)
+        ]
+        notes = tuple(dict.fromkeys(note for sentence in sentences for note in sentence.notes))
+        if len(sentences) == 1:
+            return replace(self._make_clip(sentences[0], seeds[0], on_step), unknown=unknown)
+        parts = [
+            (part, part_seed(sentence_seed, index))
+            for sentence, sentence_seed in zip(sentences, seeds, strict=True)
+            for index, part in enumerate(sentence.parts)
+        ]
+        text = sequence_caption([graph.caption for graph in graphs])
+        return replace(self._make_parts(parts, on_step), text=text, unknown=unknown, notes=notes)
 
     def compose(
         self,
@@ -397,12 +433,20 @@ class MotionPipeline:
         """
         self.sampler.validate_agd(spec.agd)
         plan = SamplingPlan.for_composition(spec, [self.as_graph(text) for text in spec.texts])
-        conditions, options = self._encode(plan, options, own_length=own_length)
-        return conditions, plan, options
+        features, options = self._encode(plan, options, own_length=own_length)
+        return self.encoder.attend(features), plan, options
 
     def as_graph(self, text: str | SemanticGraph) -> SemanticGraph:
         """Return a graph as it is, and parse a sentence."""
         return text if isinstance(text, SemanticGraph) else self.parse(text)
+
+    def _unknown_spans(self, graph: SemanticGraph, vocabulary: Vocabulary) -> list[Unknown]:
+        spans = list(find_unknown(graph, vocabulary, self.encoder))
+        if all(action.negated for action in graph.actions):  # what is left is to stand still, if that is known
+            first = graph.actions[0]
+            standing = find_unknown(STANDING, vocabulary, self.encoder)[:1]
+            spans += [replace(span, text=first.text, start=first.start, end=first.end) for span in standing]
+        return spans
 
     def _unknown_of_each(self, graphs: Sequence[SemanticGraph], strict: bool) -> list[tuple[Unknown, ...]]:
         """Find what is unknown in each graph; with `strict`, refuse all of them together."""
@@ -412,69 +456,95 @@ class MotionPipeline:
 
     def _encode(
         self, plan: SamplingPlan, options: GenerateOptions, *, own_length: bool
-    ) -> tuple[Conditions, GenerateOptions]:
+    ) -> tuple[list[GraphArrays], GenerateOptions]:
+        """Encode the text of a plan; the sentences may tell the length."""
         features = self.encoder.encode_text(plan.graphs)
         if own_length:
             options = self.encoder.with_length(options, [features[index] for index in plan.length_from])
-        return self.encoder.attend(features), options
+        return features, options
+
+    def _encode_part(self, graph: SemanticGraph, options: GenerateOptions, *, own_length: bool) -> _EncodedPart:
+        """Interpret and encode a graph that is sampled at once."""
+        request = interpret(graph, self.manifest, None if own_length else options.seconds)
+        if request.wanted == STANDING and self.find_unknown(STANDING):
+            request = replace(request, negated=(), notes=(*request.notes, NEVER_STOOD))
+        if request.seconds is not None:
+            options = with_seconds(options, self.manifest, request.seconds)
+        plan = request.plan
+        features, options = self._encode(plan, options, own_length=own_length and request.seconds is None)
+        conditions = self.encoder.attend(features)
+        return _EncodedPart(graph, plan, features, conditions, options, request.notes, request.is_timed)
+
+    def _encode_sentence(
+        self, graph: SemanticGraph, options: GenerateOptions, *, own_length: bool, in_order: bool = True
+    ) -> _EncodedSentence:
+        """Interpret and encode a sentence, whole or in parts that follow one another."""
+        whole = self._encode_part(graph, options, own_length=own_length)
+        graphs = [graph]
+        if in_order:
+            graphs = split_in_order(graph, whole.options, self.manifest, is_timed=whole.is_timed)
+        if len(graphs) == 1:
+            return _EncodedSentence(graph, (whole,))
+        parts = [self._encode_part(part, options, own_length=True) for part in graphs]
+        is_free = own_length and whole.is_timed  # the lengths in words are those of the parts
+        total = sum(part.options.frames for part in parts) if is_free else whole.options.frames
+        shares = share_frames(total, [part.options for part in parts], self.manifest)
+        return _EncodedSentence(graph, tuple(map(_EncodedPart.with_options, parts, shares)))
+
+    def _make_clip(
+        self, sentence: _EncodedSentence, seed: int, on_step: OnStep | None = None, on_level: OnLevel | None = None
+    ) -> Clip:
+        """Sample and decode an encoded sentence."""
+        if len(sentence.parts) > 1:
+            seeded = [(part, part_seed(seed, index)) for index, part in enumerate(sentence.parts)]
+            clip = replace(self._make_parts(seeded, on_step), text=sentence.graph.caption)
+        else:
+            (part,) = sentence.parts
+            on_latent = self._on_latent(on_level, part.options, sentence.graph.caption)
+            clip = self._sample(part, seed, on_step, on_latent)
+        return replace(clip, graph=sentence.graph, notes=sentence.notes)
+
+    def _make_parts(self, parts: Sequence[tuple[_EncodedPart, int]], on_step: OnStep | None) -> Clip:
+        """Sample parts, each with its seed and as much longer as the blends need, and stitch them."""
+        margin, last = blend_margin(self.manifest.fps), len(parts) - 1
+        clips, leads = [], []
+        for index, (part, seed) in enumerate(parts):
+            lead, options = with_margins(
+                part.options, self.manifest, first=index == 0, last=index == last, margin=margin
+            )
+            clips.append(self._sample(part.with_options(options), seed, subrange_progress(on_step, index, len(parts))))
+            leads.append(lead)
+        lengths = [part.options.frames for part, _ in parts]
+        foot_fix = parts[0][0].options.foot_fix
+        joints = stitch(
+            [clip.joints for clip in clips], self.manifest.fps, leads=leads, lengths=lengths, foot_fix=foot_fix
+        )
+        return replace(clips[0], joints=joints, graph=None)
 
     def _sample(
-        self,
-        graph: SemanticGraph,
-        plan: SamplingPlan,
-        conditions: Conditions,
-        options: GenerateOptions,
-        on_step: OnStep | None = None,
-        on_latent: OnLatent | None = None,
+        self, part: _EncodedPart, seed: int, on_step: OnStep | None = None, on_latent: OnLatent | None = None
     ) -> Clip:
         """Sample latents for one graph and decode them."""
-        weights = None if plan.is_plain else plan.weights
-        latents = self.sampler.sample(conditions, weights, [options], on_step, on_latent)
-        return replace(self.decoder.decode(latents, [options], [graph.caption])[0], graph=graph)
+        weights = None if part.plan.is_plain else part.plan.weights
+        options = replace(part.options, seed=seed)
+        latents = self.sampler.sample(part.conditions, weights, [options], on_step, on_latent)
+        return replace(self.decoder.decode(latents, [options], [part.graph.caption])[0], graph=part.graph)
 
-    def _sample_apart(
-        self,
-        graphs: Sequence[SemanticGraph],
-        options: Sequence[GenerateOptions],
-        seeds: Sequence[int],
-        takes: int,
-        lengths: Sequence[float | None],
-        on_step: OnStep | None,
-    ) -> list[Clip]:
-        """Make each clip of a batch in runs of its own."""
-        clips = []
-        for index, (graph, length) in enumerate(zip(graphs, lengths, strict=True)):
-            plan = SamplingPlan.for_graph(graph)
-            conditions, text_options = self._encode(plan, options[index], own_length=length is None)
-            for number in range(index * takes, (index + 1) * takes):
-                sample = replace(text_options, seed=seeds[number])
-                progress = subrange_progress(on_step, number, len(seeds))
-                clips.append(self._sample(graph, plan, conditions, sample, progress))
-        return clips
-
-    def _sample_together(
-        self,
-        graphs: Sequence[SemanticGraph],
-        options: Sequence[GenerateOptions],
-        seeds: Sequence[int],
-        takes: int,
-        lengths: Sequence[float | None],
-        on_step: OnStep | None,
+    def _make_together(
+        self, sentences: Sequence[_EncodedSentence], seeds: Sequence[int], takes: int, on_step: OnStep | None
     ) -> list[Clip]:
         """Make all clips of a batch in shared runs."""
-        if any(node.weight != 1 for graph in graphs for node in graph.nodes):
-            raise InvalidInputError("clips that share one run cannot weigh edges; leave out shared_run")
-        features = self.encoder.encode_text(graphs)
-        sized = [
-            self.encoder.with_length(option, [feature]) if length is None else option
-            for option, feature, length in zip(options, features, lengths, strict=True)
-        ]
-        conditions = repeat_rows(self.encoder.attend(features), takes)
-        samples = [replace(sized[index // takes], seed=value) for index, value in enumerate(seeds)]
-        sampled_graphs = [graph for graph in graphs for _ in range(takes)]
-        latents = self.sampler.sample(conditions, None, samples, on_step)
-        clips = self.decoder.decode(latents, samples, [graph.caption for graph in sampled_graphs])
-        return [replace(clip, graph=graph) for clip, graph in zip(clips, sampled_graphs, strict=True)]
+        parts = [part for sentence in sentences for part in sentence.parts]
+        if not all(part.plan.is_plain for part in parts):
+            raise InvalidInputError(
+                "clips that share one run cannot weigh edges or negate actions; leave out shared_run"
+            )
+        conditions = repeat_rows(self.encoder.attend([array for part in parts for array in part.features]), takes)
+        sampled = [part for part in parts for _ in range(takes)]
+        options = [replace(part.options, seed=seed) for part, seed in zip(sampled, seeds, strict=True)]
+        latents = self.sampler.sample(conditions, None, options, on_step)
+        clips = self.decoder.decode(latents, options, [part.graph.caption for part in sampled])
+        return [replace(clip, graph=part.graph, notes=part.notes) for clip, part in zip(clips, sampled, strict=True)]
 
     def _on_latent(self, on_level: OnLevel | None, options: GenerateOptions, caption: str) -> OnLatent:
         """Make the sampler's callback that decodes each coarser level for `on_level`."""

@@ -1,0 +1,136 @@
+"""What a sentence asks of the model: lengths in words, negations, orders, and what it does not get."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from kinegraph import InvalidInputError, MotionPipeline
+from kinegraph.bundle.manifest import Manifest
+from kinegraph.concepts import NEGATION_WEIGHT
+from kinegraph.graph import Action, SemanticGraph
+from kinegraph.options import part_seed, resolve_options
+from kinegraph.request import STANDING, interpret, share_frames, split_in_order
+
+pytest.importorskip("spacy")
+
+FEW: dict[str, Any] = {"steps": (2, 2, 3), "seed": 3}
+
+
+@pytest.fixture
+def manifest(toy: MotionPipeline) -> Manifest:
+    return toy.manifest
+
+
+@pytest.mark.parametrize(
+    ("sentence", "seconds", "told"),
+    [
+        ("a person walks for four seconds", 4.0, ()),
+        ("a person walks for 3.5 seconds", 3.5, ()),
+        ("a person walks for a minute", 9.8, ("for a minute",)),
+        ("a person walks for half a second", 0.8, ("for half a second",)),
+        ("a person walks four steps", 2.75, ()),
+        ("a person bows twice", None, ("twice",)),
+        ("a person walks", None, ()),
+    ],
+)
+def test_lengths_and_counts_in_words(
+    toy: MotionPipeline, manifest: Manifest, sentence: str, seconds: float | None, told: tuple[str, ...]
+) -> None:
+    request = interpret(toy.parse(sentence), manifest)
+    assert request.seconds == (None if seconds is None else pytest.approx(seconds))
+    assert len(request.notes) == len(told)
+    for words, note in zip(told, request.notes, strict=True):
+        assert repr(words) in note
+    assert "second" not in request.wanted.caption and "minute" not in request.wanted.caption
+    assert request.graph.caption == sentence  # what the user wrote stays
+
+
+def test_the_length_that_the_caller_gives_goes_first(toy: MotionPipeline) -> None:
+    spoken = toy.generate("a person walks for two seconds", **FEW)
+    assert spoken.duration == 2.0 and spoken.text == "a person walks for two seconds"
+    assert toy.generate("a person walks for two seconds", seconds=3, **FEW).duration == 3.0
+    plain = toy.generate("a person walks", seconds=2, **FEW)
+    np.testing.assert_array_equal(spoken.joints, plain.joints)  # the model is not told of seconds
+
+
+def test_a_negated_action_is_a_concept_of_weight_minus_one(toy: MotionPipeline, manifest: Manifest) -> None:
+    request = interpret(toy.parse("a person walks forward without waving the hands"), manifest)
+    assert request.wanted.caption == "a person walks forward"
+    assert [graph.caption for graph in request.negated] == ["a person waves the hands"]
+    assert request.plan.weights.concepts == (1.0,) and request.plan.weights.negated == (NEGATION_WEIGHT,)
+    assert not request.plan.is_plain
+    walk = toy.generate("a person walks forward", seconds=1.5, **FEW)
+    without = toy.generate("a person walks forward without waving the hands", seconds=1.5, **FEW)
+    assert np.abs(walk.joints - without.joints).max() > 1e-4
+    assert without.graph is not None and [action.negated for action in without.graph.actions] == [False, True]
+
+
+def test_nothing_but_a_negation_is_to_stand_still(toy: MotionPipeline, manifest: Manifest) -> None:
+    request = interpret(toy.parse("a person does not walk"), manifest)
+    assert request.wanted == STANDING and [graph.caption for graph in request.negated] == ["a person walks"]
+    assert "stand still" in request.notes[0]
+    assert "stand still" in toy.generate("a person does not walk", seconds=1, **FEW).notes[0]
+
+
+def test_a_shared_run_refuses_negations(toy: MotionPipeline) -> None:
+    with pytest.raises(InvalidInputError, match="negate actions; leave out shared_run"):
+        toy.takes("a person walks without waving", 2, shared_run=True, **FEW)
+    assert len(toy.takes("a person walks without waving", 2, seconds=1, **FEW)) == 2
+
+
+@pytest.mark.parametrize(
+    ("seconds", "parts"), [(4.0, 2), (6.0, 2), (8.0, 1), (1.2, 1)], ids=["short", "middle", "long", "too short"]
+)
+def test_actions_in_order_are_parts_where_the_clip_is_short(
+    toy: MotionPipeline, manifest: Manifest, seconds: float, parts: int
+) -> None:
+    graph = toy.parse("a person walks forward, then bows")
+    options = resolve_options(manifest, seconds=seconds)
+    assert len(split_in_order(graph, options, manifest, is_timed=False)) == parts
+    at_once = toy.parse("a person walks while waving")
+    assert split_in_order(at_once, options, manifest, is_timed=False) == [at_once]
+
+
+def test_parts_make_a_clip_of_the_length_asked_for(toy: MotionPipeline) -> None:
+    seen: list[tuple[int, int]] = []
+    clip = toy.generate(
+        "a person walks forward, then bows", seconds=4, on_step=lambda info: seen.append((info.done, info.total)), **FEW
+    )
+    assert clip.duration == pytest.approx(4.0, abs=0.4) and clip.text == "a person walks forward, then bows"
+    assert clip.graph is not None and len(clip.graph.actions) == 2 and clip.seed == 3
+    assert seen == [(step, 14) for step in range(1, 15)]
+    again = toy.takes("a person walks forward, then bows", 1, seconds=4, **FEW)[0]
+    np.testing.assert_array_equal(clip.joints, again.joints)
+
+
+def test_lengths_of_parts_are_kept(toy: MotionPipeline) -> None:
+    clip = toy.generate("a person walks for three seconds, then bows for two seconds", **FEW)
+    assert clip.duration == pytest.approx(5.0, abs=0.4) and clip.notes == ()
+
+
+def test_frames_are_shared_by_the_lengths_that_parts_ask_for(manifest: Manifest) -> None:
+    own = [resolve_options(manifest, seconds=seconds) for seconds in (6, 2, 2)]
+    shares = [part.frames for part in share_frames(100, own, manifest)]
+    assert sum(shares) == 100 and shares[0] > shares[1] == shares[2] >= manifest.frames.min
+    assert [part.frames for part in share_frames(200, own, manifest)] == [120, 40, 40]
+    least = share_frames(3 * manifest.frames.min, own, manifest)
+    assert [part.frames for part in least] == [manifest.frames.min] * 3
+
+
+def test_seeds_of_parts_are_those_of_no_other_take() -> None:
+    assert part_seed(7, 0) == 7
+    seeds = {part_seed(seed, index) for seed in range(64) for index in range(32)}
+    assert len(seeds) == 64 * 32
+    assert 0 <= part_seed(2**63 - 1, 31) < 2**63
+
+
+def test_graphs_without_words_of_the_parser_work_too(toy: MotionPipeline) -> None:
+    graph = SemanticGraph(
+        "a person walks but never waves",
+        (Action("walks", 9, 14, 0), Action("waves", 25, 30, 1, negated=True)),
+    )
+    clip = toy.generate(graph, seconds=1, **FEW)
+    assert clip.graph == graph
