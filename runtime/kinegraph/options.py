@@ -209,27 +209,23 @@ def with_seconds(options: GenerateOptions, manifest: Manifest, seconds: float) -
     return replace(options, frames=frames, seconds=frames / manifest.fps)
 
 
-def with_margins(
-    options: GenerateOptions, manifest: Manifest, *, first: bool, last: bool, margin: int
-) -> tuple[int, GenerateOptions]:
+def with_margins(options: GenerateOptions, manifest: Manifest, before: int, after: int) -> tuple[int, GenerateOptions]:
     """Lengthen a part of a sequence by what the blends at its ends need, as far as the model reaches.
 
     Args:
         options: of the part, with its own length.
         manifest: of the bundle.
-        first, last: whether it is the first or the last part, which has no blend before or after it.
-        margin: frames that a blend needs on one side (`motion.blending.blend_margin`).
+        before, after: frames wanted before and after the part (`motion.blending.blend_margins`).
 
     Returns:
         Frames that come before the part, and the options with the longer length.
     """
-    lead, tail = 0 if first else margin, 0 if last else margin
     spare = manifest.frames.max - options.frames
-    if lead + tail > spare:
-        lead = spare * lead // (lead + tail)
-        tail = spare - lead if tail else 0
-    frames = options.frames + lead + tail
-    return lead, replace(options, frames=frames, seconds=frames / manifest.fps)
+    if before + after > spare:
+        before = spare * before // (before + after)
+        after = spare - before if after else 0
+    frames = options.frames + before + after
+    return before, replace(options, frames=frames, seconds=frames / manifest.fps)
 
 
 def sequence_caption(captions: Sequence[str]) -> str:

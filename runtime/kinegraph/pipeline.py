@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 
 import onnxruntime
@@ -31,7 +32,7 @@ from kinegraph.diffusion.sampling import OnStep, subrange_progress
 from kinegraph.errors import InvalidInputError, UnknownWordsError
 from kinegraph.graph import SemanticGraph
 from kinegraph.limits import MAX_PARTS, MAX_TAKES
-from kinegraph.motion.blending import blend_margin, stitch
+from kinegraph.motion.blending import blend_margins, stitch
 from kinegraph.options import (
     GenerateOptions,
     Guidance,
@@ -58,15 +59,21 @@ OnLevel = Callable[[str, Clip], None]
 class _EncodedPart:
     """A graph that is sampled at once, with any seed."""
 
+    encoder: ConditionEncoder
     graph: SemanticGraph
+    """As the user wrote it."""
     plan: SamplingPlan
     features: list[GraphArrays]
     """Of the plan's graphs."""
-    conditions: Conditions
     options: GenerateOptions
     notes: tuple[str, ...]
     is_timed: bool
     """Whether the sentence says how long it takes."""
+
+    @cached_property
+    def conditions(self) -> Conditions:
+        """Conditions of the plan's graphs; graph attention runs once for all takes."""
+        return self.encoder.attend(self.features)
 
     def with_options(self, options: GenerateOptions) -> _EncodedPart:
         return replace(self, options=options)
@@ -290,7 +297,7 @@ class MotionPipeline:
             shared_run: let all clips share the runs of the models, which is faster. Sums of a larger run are rounded in
                 another order, so a clip then equals that of `generate` to 0.1 mm in an fp32 bundle only; in an int8
                 bundle one scale spans a run, and clips differ by `batch_mm` of the manifest's parity on average.
-                Graphs must have no weighted edges and no negated actions.
+                Graphs must have no weighted edges and no negated actions; actions in order are sampled at once.
             on_step: as in `generate`; its `done` and `total` are those of all clips.
 
         Raises:
@@ -472,8 +479,7 @@ class MotionPipeline:
             options = with_seconds(options, self.manifest, request.seconds)
         plan = request.plan
         features, options = self._encode(plan, options, own_length=own_length and request.seconds is None)
-        conditions = self.encoder.attend(features)
-        return _EncodedPart(graph, plan, features, conditions, options, request.notes, request.is_timed)
+        return _EncodedPart(self.encoder, graph, plan, features, options, request.notes, request.is_timed)
 
     def _encode_sentence(
         self, graph: SemanticGraph, options: GenerateOptions, *, own_length: bool, in_order: bool = True
@@ -506,12 +512,10 @@ class MotionPipeline:
 
     def _make_parts(self, parts: Sequence[tuple[_EncodedPart, int]], on_step: OnStep | None) -> Clip:
         """Sample parts, each with its seed and as much longer as the blends need, and stitch them."""
-        margin, last = blend_margin(self.manifest.fps), len(parts) - 1
         clips, leads = [], []
         for index, (part, seed) in enumerate(parts):
-            lead, options = with_margins(
-                part.options, self.manifest, first=index == 0, last=index == last, margin=margin
-            )
+            before, after = blend_margins(self.manifest.fps, first=index == 0, last=index == len(parts) - 1)
+            lead, options = with_margins(part.options, self.manifest, before, after)
             clips.append(self._sample(part.with_options(options), seed, subrange_progress(on_step, index, len(parts))))
             leads.append(lead)
         lengths = [part.options.frames for part, _ in parts]

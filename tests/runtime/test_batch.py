@@ -14,7 +14,7 @@ from kinegraph.limits import MAX_TAKES
 pytest.importorskip("spacy")
 
 FEW: dict[str, Any] = {"steps": (5, 5, 6)}
-TEXTS = ["a person walks forward", "someone raises the left hand, then bows", "runs"]
+TEXTS = ["a person walks forward", "someone raises the left hand and bows", "runs"]
 
 
 @pytest.mark.parametrize("shared", [False, True])

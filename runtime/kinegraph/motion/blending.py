@@ -75,7 +75,7 @@ def stitch(
     """Join clips into one motion, each turned and moved to go on where the one before it leaves off.
 
     Part k lasts `lengths[k]` frames; a blend is centred where two parts meet, and moves by `MAX_SHIFT` seconds at most
-    to where poses are alike. Clips that reach beyond their part by `blend_margin` on both sides lose nothing of it.
+    to where poses are alike. Clips that reach beyond their part by `blend_margins` lose nothing of it.
 
     Args:
         clips: (frames, 22, 3) metres each, of one body; at least one.
@@ -105,9 +105,17 @@ def stitch(
     return lock_feet(motion, fps) if foot_fix else motion
 
 
-def blend_margin(fps: float) -> int:
-    """Return the frames that a clip needs beyond its part so that a blend takes nothing away from the part."""
-    return round((max(BLEND_SECONDS) / 2 + MAX_SHIFT) * fps)
+def blend_margins(fps: float, *, first: bool, last: bool) -> tuple[int, int]:
+    """Return the frames that a clip needs before and after its part, so that blends take nothing away from it.
+
+    Args:
+        fps: frames per second.
+        first, last: whether it is the first or the last part. Nothing is blended before the first. The last reaches
+            so far beyond its end that shifts of the blend before it do not shorten the whole.
+    """
+    shift = round(MAX_SHIFT * fps)
+    margin = round((max(BLEND_SECONDS) / 2 + MAX_SHIFT) * fps)
+    return 0 if first else margin, 2 * shift if last else margin
 
 
 def make_loop(joints: FloatArray, fps: float, *, foot_fix: bool = True) -> FloatArray:
