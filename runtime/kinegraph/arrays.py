@@ -7,8 +7,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from kinegraph.errors import NonFiniteError
-
 FloatArray = NDArray[np.float32]
 """Single precision: inputs and outputs of models, joints in metres."""
 DoubleArray = NDArray[np.float64]
@@ -17,18 +15,3 @@ Floats = NDArray[np.floating[Any]]
 """Either precision; functions on it keep that of their arguments."""
 IntArray = NDArray[np.int64]
 """Token ids, indices, timesteps, frames."""
-
-
-def require_finite(values: FloatArray, stage: str) -> FloatArray:
-    """Return `values` unchanged, or refuse NaN and infinity.
-
-    Args:
-        values: any shape.
-        stage: what computed them, for the message.
-
-    Raises:
-        NonFiniteError: a value is not finite; the message names the stage.
-    """
-    if not np.isfinite(values).all():
-        raise NonFiniteError(f"{stage} produced NaN or infinity; the bundle's weights are broken")
-    return values

@@ -12,9 +12,10 @@ from kinegraph.errors import InvalidInputError
 from kinegraph.files import suffix_of, write_atomically
 from kinegraph.graph import SemanticGraph
 from kinegraph.motion.blending import make_loop
-from kinegraph.motion.resampling import check_fps, in_place, resample
+from kinegraph.motion.resampling import in_place, resample
 from kinegraph.motion.skeleton import DEFAULT_NAMES, JOINTS
 from kinegraph.unknown import Unknown
+from kinegraph.validation import check_fps
 
 
 @dataclass(frozen=True, eq=False)

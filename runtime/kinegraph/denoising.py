@@ -24,7 +24,7 @@ import numpy as np
 import onnxruntime
 from numpy.typing import NDArray
 
-from kinegraph.arrays import FloatArray, IntArray, require_finite
+from kinegraph.arrays import FloatArray, IntArray
 from kinegraph.bundle.contract import LEVELS
 from kinegraph.bundle.manifest import Manifest
 from kinegraph.bundle.sessions import Sessions, run_model
@@ -51,6 +51,7 @@ from kinegraph.diffusion.sampling import (
 )
 from kinegraph.errors import Cancelled, InvalidInputError
 from kinegraph.options import GenerateOptions
+from kinegraph.validation import require_finite
 
 MakePredictor = Callable[[str, DdimCoefficients, FloatArray | None], PredictNoise]
 """(level, its DDIM coefficients, final latents of the level above) -> predictor of the level."""

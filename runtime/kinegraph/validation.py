@@ -1,4 +1,4 @@
-"""Checks of single values that callers pass, for all modules that take options.
+"""Checks of values that callers pass and models produce.
 
 Python integers have no limit, and `repr` of a value may be huge or raise: nothing here does, whatever comes in.
 """
@@ -8,6 +8,14 @@ from __future__ import annotations
 import math
 from numbers import Integral, Real
 from typing import Final
+
+import numpy as np
+
+from kinegraph.arrays import FloatArray
+from kinegraph.errors import InvalidInputError, NonFiniteError
+
+MAX_FPS: Final = 240.0
+"""Frames per second."""
 
 _LONGEST_REPR: Final = 80
 _LARGEST_SHOWN: Final = 10**40
@@ -37,3 +45,28 @@ def finite_number(value: object) -> float | None:
     except OverflowError:  # an integer or fraction beyond 1e308
         return None
     return number if math.isfinite(number) else None
+
+
+def check_fps(fps: object) -> None:
+    """Refuse values that are no frame rate.
+
+    Raises:
+        InvalidInputError: not a number from 1 to `MAX_FPS`.
+    """
+    if isinstance(fps, bool) or not isinstance(fps, int | float | np.number) or not 1 <= fps <= MAX_FPS:
+        raise InvalidInputError(f"fps must be 1 to {MAX_FPS:g} frames per second, not {short_repr(fps)}")
+
+
+def require_finite(values: FloatArray, stage: str) -> FloatArray:
+    """Return `values` as they are, or refuse NaN and infinity.
+
+    Args:
+        values: any shape.
+        stage: what produced them, for the message.
+
+    Raises:
+        NonFiniteError: naming the stage.
+    """
+    if not np.isfinite(values).all():
+        raise NonFiniteError(f"{stage} produced NaN or infinity; the bundle's weights are broken")
+    return values

@@ -13,7 +13,7 @@ import onnxruntime
 from numpy.typing import NDArray
 from onnxruntime.capi import onnxruntime_pybind11_state as _state
 
-from kinegraph.arrays import FloatArray, require_finite
+from kinegraph.arrays import FloatArray
 from kinegraph.bundle.contract import (
     AGD_CONTEXTS,
     AGD_DENOISERS,
@@ -24,7 +24,7 @@ from kinegraph.bundle.contract import (
 )
 from kinegraph.bundle.reader import Bundle
 from kinegraph.errors import BundleError, InvalidInputError, KinegraphError, ModelError
-from kinegraph.validation import short_repr
+from kinegraph.validation import require_finite, short_repr
 
 MAX_THREADS: Final = 256
 

@@ -168,7 +168,7 @@ def _make_one_by_one(
 def _check_targets(args: argparse.Namespace) -> list[Path]:
     """List the files to write, and refuse those that cannot be written before anything is computed for them."""
     from kinegraph.formats import check_clip_target, check_names, check_root
-    from kinegraph.motion.resampling import check_fps
+    from kinegraph.validation import check_fps
 
     # The cheapest checks come first.
     targets = take_paths(args.output, args.takes)

@@ -18,8 +18,8 @@ from kinegraph.formats.bvh import CENTIMETRES, depth_first, hierarchy_lines
 from kinegraph.limits import MAX_READ_FRAMES
 from kinegraph.motion.kinematics import RootMotion, forward_kinematics, join_root
 from kinegraph.motion.quaternions import IDENTITY, about_axis, multiply
-from kinegraph.motion.resampling import check_fps
 from kinegraph.motion.skeleton import CONVENTIONS, JOINTS, PELVIS, ROOT_NAME
+from kinegraph.validation import check_fps
 
 _MAX_LINES: Final = 200
 """Lines of the HIERARCHY section; ours has 114 at most."""

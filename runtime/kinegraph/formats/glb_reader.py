@@ -19,8 +19,8 @@ from kinegraph.formats.json import parse_seed
 from kinegraph.limits import MAX_READ_FRAMES
 from kinegraph.motion.kinematics import CHILDREN, RootMotion, forward_kinematics, join_root
 from kinegraph.motion.quaternions import IDENTITY, normalised
-from kinegraph.motion.resampling import check_fps
 from kinegraph.motion.skeleton import CONVENTIONS, JOINTS, PELVIS, ROOT_NAME
+from kinegraph.validation import check_fps
 
 _MAX_JSON: Final = 1 << 20
 """Bytes of the JSON chunk; ours has 20 kB and the text."""

@@ -5,28 +5,13 @@ Joints are (frames, 22, 3) metres with Y up. Every function returns a new array.
 
 from __future__ import annotations
 
-from typing import Final
-
 import numpy as np
 from numpy.typing import NDArray
 
 from kinegraph.arrays import FloatArray, Floats
-from kinegraph.errors import InvalidInputError
 from kinegraph.motion.kinematics import forward_kinematics, rotations_from_positions
 from kinegraph.motion.quaternions import about_axis, rotate, slerp
 from kinegraph.motion.skeleton import HORIZONTAL, facing_angle
-
-MAX_FPS: Final = 240.0
-
-
-def check_fps(fps: object) -> None:
-    """Refuse values that are no frame rate.
-
-    Raises:
-        InvalidInputError: not a number from 1 to `MAX_FPS`.
-    """
-    if isinstance(fps, bool) or not isinstance(fps, int | float | np.number) or not 1 <= fps <= MAX_FPS:
-        raise InvalidInputError(f"fps must be 1 to {MAX_FPS:g} frames per second, not {fps!r}")
 
 
 def resample(joints: FloatArray, fps: float, new_fps: float, *, loops: bool = False) -> FloatArray:
