@@ -80,8 +80,32 @@ def without(graph: SemanticGraph, node: Node) -> SemanticGraph:
     if isinstance(target, Action):
         removed += map(_span, target.arguments)
         verb_start = target.start
+        if target.negated:
+            pruned, phrases = _without_phrases(pruned, target)
+            verb_start = _negator_start(graph.caption, target.start)
+            removed += [*phrases, (verb_start, target.end)]
     caption, positions = remove_words(graph.caption, removed, [*map(_span, pruned.nodes)], verb_start)
     return _move_nodes(pruned, caption, lambda node: (positions[node.start], positions[node.end - 1] + 1))
+
+
+def _without_phrases(graph: SemanticGraph, removed: Action) -> tuple[SemanticGraph, list[Span]]:
+    """Remove arguments that hold a removed action and no other ("without waving"); returns their spans too."""
+
+    def holds(argument: Argument, action: Action) -> bool:
+        return argument.start <= action.start and action.end <= argument.end
+
+    phrases, actions = [], []
+    for action in graph.actions:
+        lost = [a for a in action.arguments if holds(a, removed) and not any(holds(a, b) for b in graph.actions)]
+        phrases += [_span(argument) for argument in lost]
+        actions.append(replace(action, arguments=tuple(a for a in action.arguments if a not in lost)))
+    return SemanticGraph(graph.caption, tuple(actions)), phrases
+
+
+def _negator_start(caption: str, verb_start: int) -> int:
+    """Find the first character of the words that negate a verb."""
+    match = _NEGATORS_BEFORE.search(caption, 0, verb_start)
+    return match.start() + len(match.group()) - len(match.group().lstrip()) if match else verb_start
 
 
 def replaced(graph: SemanticGraph, node: Node, text: str) -> SemanticGraph:
@@ -191,6 +215,12 @@ def _move_nodes(graph: SemanticGraph, caption: str, new_span: Callable[[Action |
         actions.append(replace(action, arguments=arguments, **position(action)))  # type: ignore[arg-type]
     return SemanticGraph(caption, tuple(actions))
 
+
+_NEGATORS_BEFORE: Final = re.compile(
+    r"(?:(?:\b|\s|^)(?:(?:do|does|did|is|are|was|wo|ca)n[’']?t|without|not|never|no|do|does|did|is|are|instead|rather|of"
+    r"|than)\b\s*)+\Z",
+    re.IGNORECASE,
+)
 
 # Removing words from a sentence
 

@@ -95,35 +95,39 @@ NEVER_VERBS: Final = (DIRECTION_ADVERBS - {"left"}) | frozenset("circle reverse 
 """Words that the tagger sometimes takes for verbs, although captions use them as nouns and adverbs."""
 
 VERBS: Final = EVENT_NOUNS - frozenset("greeting movement motion rotation".split()) | frozenset(
-    "advance aim amble applaud approach arise arrange arrive ascend backpedal bash bask beckon begin bite blink block"
-    " bob bounce bound box brace breakdance breaststroke breathe brush bump butt caress carry cast charge chase cheer"
-    " chew chop circle clamber clasp clean clear clench close clutch collapse comb come compensate continue cook cough"
-    " crack cradle crank creep cross crouch cry cuddle curl curtsey curtsy cycle dab dart deal defend depart descend"
-    " dig dismount dive do dodge drag draw dress drill drink drive drop duck dust eat embrace enter escape evade"
-    " examine exhale exit extend faint falter feed fetch fidget fight flail flap flee flex flinch fling flop fold"
-    " follow freeze frown gallop gather gaze glance glide go grab grasp greet grin grip guard guide gyrate hail halt"
-    " hammer handspring hang haul heave hesitate hide hike hiss hit hobble hoist hold hover hug hula hunch hurdle hurl"
-    " hurry inch indicate inhale inspect jab jerk jig jiggle juggle keep kiss knead knit land lash laugh lay lead"
-    " leave lick lie limbo linger listen load lock look lounge lower lug lumber lurch make meander meditate mime mimic"
-    " mince moonwalk mop mope mosey mount move nudge open paddle paint pant parry pass pat pause pedal peek peer perch"
-    " perform pet pick pinch pitch pivot place plank play plod plop plunge poke pose pounce pour prance pray press"
-    " pretend proceed pummel put rake react read rebound recline recoil recover reel relax release remain respond rest"
-    " retreat return revolve ride ring rise roam rotate row rub rummage rush sashay saunter saw scamper scoot scramble"
-    " scratch scream screw scuff scurry search seek serve set shadow shadowbox shamble shave shield shimmy shiver"
-    " shoot shout shovel show shudder shut sidestep sidle sign signal sing sink sip skate skateboard ski skid slam"
-    " slap sleep sling slink slip slither slouch slow slump smash smile smoke snap snatch sneak sneeze sniff snowboard"
-    " soar sob sow spar speak splash sprawl spread spring squash squeeze squint squirm stab stack stagger stalk stare"
-    " steer stir stomp stoop straddle straighten strain strike stroke struggle strum strut stutter surf swagger"
-    " swallow swat sway sweep swerve swim swipe swish swivel tackle take talk tango teeter text thrash thrust thump"
-    " tickle tilt toddle topple toss totter touch traipse tramp trample tread trek tremble trip trudge try tuck tug"
-    " tumble twerk twiddle twist twitch type unclench uncross uncurl undress unfold unload unlock untie unwrap unzip"
-    " uppercut use vault vibrate waddle wade wail wait wake wander ward wash watch weave whack whip whirl whistle"
-    " wiggle wince wink wipe wobble wrap wrestle wriggle wring write writhe yank yawn yell zigzag zip".split()
+    "advance aim amble applaud approach arise arrange arrive ascend attack avoid backpedal bash bask beckon begin"
+    " bite blink block bob bounce bound box brace breakdance breaststroke breathe brush bump butt caress carry cast"
+    " cease charge chase cheer chew chop circle clamber clasp clean clear clench close clutch collapse comb come"
+    " compensate continue cook cough crack cradle crank creep cross crouch cry cuddle curl curtsey curtsy cycle dab"
+    " dart deal defend depart descend dig dismount dive do dodge drag draw dress dribble drill drink drive drop duck"
+    " dust eat embrace enter escape evade examine exhale exit extend faint fake falter feed feint fetch fidget fight"
+    " finish flail flap flee flex flinch fling flop fold follow freeze frown gallop gather gaze glance glide go grab"
+    " grasp greet grin grip guard guide gyrate hail halt hammer handspring hang haul heave hesitate hide hike hiss hit"
+    " hobble hoist hold hover hug hula hunch hurdle hurl hurry inch indicate inhale inspect jab jerk jig jiggle juggle"
+    " keep kiss knead knit land lash laugh lay lead leave lick lie limbo linger listen load lock look loosen lounge"
+    " lower lug lumber lurch make meander meditate mime mimic mince moonwalk mop mope mosey mount move nudge open"
+    " paddle paint pant parry pass pat pause pedal peek peer perch perform pet pick pinch pitch pivot place plank play"
+    " plod plop plunge poke pose pounce pour prance pray press pretend proceed pummel put quit rake react read rebound"
+    " receive recline recoil recover reel refrain regain relax release remain respond rest retreat return revolve ride"
+    " ring rise roam rotate row rub rummage rush sashay saunter saw scamper scoot scramble scratch scream screw scuff"
+    " scurry search seek serve set shadow shadowbox shamble shave shield shift shimmy shiver shoot shout shovel show"
+    " shudder shut sidestep sidle sign signal sing sink sip skate skateboard ski skid slam slap sleep sling slink slip"
+    " slither slouch slow slump smash smile smoke snap snatch sneak sneeze sniff snowboard soar sob sow spar speak"
+    " speed splash sprawl spread spring squash squeeze squint squirm stab stack stagger stalk stare steer stir stomp"
+    " stoop straddle straighten strain strike stroke struggle strum strut stutter surf swagger swallow swat sway sweep"
+    " swerve swim swipe swish swivel tackle take talk tango teeter text thrash thrust thump tickle tilt toddle topple"
+    " toss totter touch traipse tramp trample tread trek tremble trip trudge try tuck tug tumble twerk twiddle twist"
+    " twitch type unclench uncross uncurl undress unfold unload unlock untie unwrap unzip uppercut use vault vibrate"
+    " waddle wade wail wait wake wander ward wash watch wear weave whack whip whirl whistle wiggle wince wink wipe"
+    " wobble wrap wrestle wriggle wring write writhe yank yawn yell zigzag zip".split()
 )
 """Verbs of motion, base forms."""
 
 
-def _third_person(verb: str) -> str:
+def third_person(verb: str) -> str:
+    """Put a verb in base form into the third person singular of the present."""
+    if verb in ("be", "have"):
+        return {"be": "is", "have": "has"}[verb]
     if verb.endswith(("s", "sh", "ch", "x", "z", "o")):
         return verb + "es"
     return verb[:-1] + "ies" if verb.endswith("y") and verb[-2] not in "aeiou" else verb + "s"
@@ -140,8 +144,23 @@ def _participle(verb: str) -> str:
 
 PARTICIPLES: Final = {_participle(verb): verb for verb in sorted(VERBS)}
 """Present participle to base form."""
-FINITE_VERBS: Final = {_third_person(verb): verb for verb in sorted(VERBS) if verb != "do"}
+FINITE_VERBS: Final = {third_person(verb): verb for verb in sorted(VERBS) if verb != "do"}
 """Third person to base form; without "does", which is as often an auxiliary."""
+
+IRREGULAR_FORMS: Final = {
+    "went": "go", "gone": "go", "ran": "run", "took": "take", "taken": "take", "stood": "stand", "sat": "sit",
+    "fell": "fall", "fallen": "fall", "threw": "throw", "thrown": "throw", "caught": "catch", "swung": "swing",
+    "bent": "bend", "knelt": "kneel", "leapt": "leap", "spun": "spin", "rose": "rise", "risen": "rise", "lay": "lie",
+    "held": "hold", "kept": "keep", "made": "make", "did": "do", "done": "do", "got": "get", "came": "come",
+    "gave": "give", "given": "give", "left": "leave", "crept": "creep", "slid": "slide", "struck": "strike",
+    "swam": "swim", "dove": "dive", "drew": "draw", "shook": "shake", "shaken": "shake", "strode": "stride",
+    "was": "be", "were": "be", "are": "be", "am": "be", "been": "be", "had": "have", "brought": "bring", "worn": "wear", "hung": "hang",
+}  # fmt: skip
+"""Irregular past forms of verbs of motion, with their base form."""
+PAST_PARTICIPLES: Final = frozenset(
+    "hit taken fallen thrown caught bent held kept made done given shaken struck put".split()
+)
+"""Irregular participles of the passive voice."""
 
 CONFUSED: Final = {"waive": "wave", "waives": "waves", "waiving": "waving", "quater": "quarter"}
 """English words that are spelling slips in a caption, with their correction."""
@@ -152,7 +171,22 @@ ABBREVIATIONS: Final = {
 }  # fmt: skip
 """Short forms of words, with the words that they stand for."""
 
-ROTATIONS: Final = frozenset("clockwise counterclockwise".split())
+CLOCKWISE: Final = "clockwise"
+COUNTERCLOCKWISE: Final = "counterclockwise"
+WORDINGS: Final = (
+    (r"\b(?:(?:counter|anti|contra)[\s‐‑–-]*clock-?wise|ccw)\b", COUNTERCLOCKWISE),
+    (r"\b(?:clock-?wise|cw)\b", CLOCKWISE),
+    (r"\bw/o\b", "without"),
+    (r"\bw/|(?<=\s)w(?=\s)", "with"),
+    (r"(?<=\s)[&+](?=\s)", "and"),
+    (r"\bfwd\b", "forward"),
+    (r"\bb[k]?wd\b", "backward"),
+)
+"""Spellings that no training caption has, as patterns, with the word for each; of those that overlap the first counts.
+
+`kinegraph.interpretation.known_wording` tells the rotations as sides: clockwise, seen from above, is to the right.
+"""
+ROTATIONS: Final = frozenset((CLOCKWISE, COUNTERCLOCKWISE))
 NOUN_ADJECTIVES: Final = frozenset(
     "fast slow slower quick high low big small little long short half quarter couple double single triple hard soft"
     " front side back jumping spinning several two three four five six seven eight nine ten many few more some no"

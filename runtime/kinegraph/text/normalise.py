@@ -192,7 +192,8 @@ class _Sentence:
 
     def _is_title(self, index: int) -> bool:
         """Tell whether a word is the second of a title without a verb, behind an adjective ("slow jog")."""
-        return index == 1 and self.lower[0] in lexicon.NOUN_ADJECTIVES and Form.BASE not in self.forms
+        is_modified = index == 1 and (self.lower[0] in lexicon.NOUN_ADJECTIVES or self.lower[0] in ("left", "right"))
+        return is_modified and Form.BASE not in self.forms
 
     def _replace_adverb(self, index: int) -> bool:
         """Replace an adverb that taggers take for a noun; tells whether it was one."""
@@ -201,7 +202,7 @@ class _Sentence:
             self.surrogates[index - 1 : index + 1] = ["very", "soon"]
         elif word in lexicon.ROTATIONS and _ends_phrase(self.lower, index + 1):
             self.surrogates[index] = "slowly"
-        elif word in ("left", "right") and Form.STATE in self.forms and self._word(index + 1) in lexicon.BODY_NOUNS:
+        elif word in ("left", "right") and self._is_side_of_noun(index):
             self.surrogates[index] = "other"
         elif word in ("left", "right") and (self._is_verb(index + 1) or _is_direction(self.lower, index)):
             self.surrogates[index] = "away"
@@ -210,6 +211,11 @@ class _Sentence:
         else:
             return False
         return True
+
+    def _is_side_of_noun(self, index: int) -> bool:
+        """Tell whether "left" or "right" begins a phrase without a verb ("left hand up", "left turn")."""
+        is_part = Form.STATE in self.forms and self._word(index + 1) in lexicon.BODY_NOUNS
+        return is_part or (index == 0 and self._word(1) in lexicon.EVENT_NOUNS)
 
     def _replace_sign(self, index: int) -> None:
         """Replace a sign before the verb of a clause by "and"."""
@@ -236,7 +242,7 @@ def _verb_surrogate(lower: Sequence[str], index: int, form: Form) -> tuple[str, 
     if form is Form.STATE:
         return ("goes" if lacks_object or word not in _TAKES_PLACE else "takes"), word
     if following in lexicon.PARTICIPLES:
-        if base in lexicon.CATENATIVE and (form is Form.BASE or base == "stop"):
+        if base in lexicon.CATENATIVE and (form is Form.BASE or base in lexicon.ENDING):
             return ("start" if form is Form.BASE else "stops"), base
         lacks_object = base not in lexicon.CATENATIVE and _is_clause_of_verb(lower, index + 1)
     verbs = {Form.THIRD: ("goes", "takes"), Form.PARTICIPLE: ("going", "taking"), Form.BASE: ("go", "take")}[form]

@@ -97,7 +97,7 @@ class PredicateFrame:
 def build_frame(head: Token) -> PredicateFrame:
     """Collect the arguments of an action: its subject, its objects and its modifiers."""
     frame = PredicateFrame(head)
-    if head.dep_ == "auxpass":
+    if head.dep_ == "auxpass" and head.lower_ in lexicon.GET:
         frame.add("ARG1", subject_span(head.head))
         frame.add("ARG2", trim_in_doc(head.doc, (head.head.i, _verb_phrase_end(head.head))))
         return frame

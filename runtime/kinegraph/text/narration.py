@@ -1,0 +1,172 @@
+"""Third person: who moves in a caption, and its verbs in the form that training captions have."""
+
+from __future__ import annotations
+
+import re
+from typing import Final
+
+from kinegraph.errors import InvalidGraphError
+from kinegraph.graph import Action, Argument, SemanticGraph
+from kinegraph.text import lexicon
+from kinegraph.text.pieces import NEGATING, SEQUENCE_WORDS, Item, Pieces
+
+SUBJECT: Final = "a person"
+"""Who moves where a caption does not say it."""
+
+
+READERS: Final = frozenset("i me we us you your".split())
+"""Words for who reads or writes a caption, not for who moves."""
+_PLURALS: Final = frozenset("they them people men women children both all".split()) | frozenset(
+    "two three four five six seven eight nine ten several many".split()
+)
+OBJECT_FORMS: Final = {"him": "he", "her": "she", "them": "they"}
+"""Pronouns of objects, with those of subjects."""
+BE: Final = frozenset("is are was were am be been being 's 're gets get got".split())
+"""Auxiliaries of the continuous form and the passive voice."""
+
+
+def subject_of(graph: SemanticGraph, action: Action) -> Argument | None:
+    """Find the argument that tells who moves: ARG0, or ARG1 before the verb or where it is who does something else."""
+    candidates = [argument for argument in action.arguments if argument.role in ("ARG0", "ARG1")]
+    candidates = [argument for argument in candidates if not _NO_SUBJECT.fullmatch(argument.text)]
+    for argument in sorted(candidates, key=lambda argument: argument.role):
+        is_shared = any(
+            other.start == argument.start and other.end == argument.end and argument.end <= action_of_other.start
+            for action_of_other in graph.actions
+            for other in action_of_other.arguments
+            if other.role in ("ARG0", "ARG1")
+        )
+        if argument.role == "ARG0" or argument.end <= action.start or is_shared:
+            return argument
+    return None
+
+
+_NO_SUBJECT: Final = re.compile(r"who|which|that|by\b.*|to\b.*", re.IGNORECASE | re.DOTALL)
+
+
+def subject_items(pieces: Pieces, subject: Argument | None) -> list[Item]:
+    """Return the items of who moves; "a person" if nobody is named, or the reader."""
+    if subject is None:
+        return [Item(SUBJECT)]
+    own = list(pieces.of(subject))
+    words = {pieces.word(index) for index in own}
+    if not own or words & READERS:
+        # the node stays on the words that stand for the reader
+        return [Item(SUBJECT, own[0])] if own else [Item(SUBJECT)]
+    if len(own) == 1:
+        return [Item(OBJECT_FORMS.get(pieces.word(own[0]), pieces.pieces[own[0]].text), own[0])]
+    return pieces.items(own)
+
+
+def verb_items(pieces: Pieces, action: Action, text: str | None = None) -> list[Item]:
+    """Return the items of a verb in the third person singular; in the passive voice, with "is" before it."""
+    own = list(pieces.of(action))
+    if not own:
+        raise InvalidGraphError(f"the action {action.text!r} has no word")
+    if text is None and is_passive(pieces, own[0]):
+        return [Item("is"), *pieces.items(own)]
+    return [Item(text or third_person(pieces.pieces[own[0]].text), own[0]), *pieces.items(own[1:])]
+
+
+def is_passive(pieces: Pieces, verb: int) -> bool:
+    """Tell whether a verb is a past participle behind a form of "be", with negators and adverbs between."""
+    word = pieces.word(verb)
+    if not (word.endswith("ed") or word in lexicon.PAST_PARTICIPLES):
+        return False
+    before = verb - 1
+    while before >= 0 and (pieces.word(before) in NEGATING - BE or pieces.word(before).endswith("ly")):
+        before -= 1
+    return pieces.word(before) in BE | {"isn't", "aren't", "wasn't"}
+
+
+_NO_VERBS: Final = (
+    lexicon.DIRECTION_ADVERBS
+    | lexicon.PLACE_PREPOSITIONS
+    | lexicon.DIRECTION_PREPOSITIONS
+    | lexicon.MANNER_PREPOSITIONS
+)
+
+
+def third_person(verb: str) -> str:
+    """Put a verb in any form into the third person singular of the present; other words stay as they are."""
+    word = verb.lower()
+    if word in _NO_VERBS or len(word) < 2 or not (word.isalpha() and word.isascii()):
+        return verb
+    if word in lexicon.IRREGULAR_FORMS:
+        return lexicon.third_person(lexicon.IRREGULAR_FORMS[word])
+    if word in lexicon.FINITE_VERBS or word in ("is", "has", "does"):
+        return word
+    if word in lexicon.VERBS:
+        return lexicon.third_person(word)
+    base = lexicon.PARTICIPLES.get(word) or (None if word.endswith("eed") else _regular_base(word))
+    return lexicon.third_person(base) if base else (word if word.endswith("s") else lexicon.third_person(word))
+
+
+def _regular_base(word: str) -> str | None:
+    """Guess the base form of a regular participle or past form; a verb of the lexicon if there is one."""
+    for ending in ("ing", "ed"):
+        stem = word.removesuffix(ending)
+        if stem == word or len(stem) < 2:
+            continue
+        is_doubled = len(stem) > 2 and stem[-1] == stem[-2]
+        guesses = [stem, stem + "e", stem[:-1] if is_doubled else stem, stem[:-1] + "y" if stem[-1] == "i" else stem]
+        known = next((guess for guess in guesses if guess in lexicon.VERBS), None)
+        if known is None:
+            ends_like_handle = stem[-1] == "l" and stem[-2] not in "aeioul"
+            needs_e = ends_like_handle or stem[-1] in "cvzu" or stem.endswith(("at", "dg"))
+            known = stem + "e" if needs_e else (stem[:-1] if is_doubled and stem[-1] not in "ls" else stem)
+        return known
+    return None
+
+
+def is_noun(pieces: Pieces, action: Action) -> bool:
+    """Tell whether an action without a subject is a noun: an article, a number or an adjective stands before it."""
+    own = pieces.of(action)
+    before = pieces.word(own[0] - 1) if own else ""
+    if before in _ARTICLES or before in lexicon.NOUN_ADJECTIVES:
+        return True
+    modifiers = [pieces.of(argument) for argument in action.arguments if argument.end <= action.start]
+    if not own or not any(own[0] - 1 in modifier for modifier in modifiers):
+        return False
+    is_measure = any(own[0] - 1 in modifier and len(modifier) > 1 for modifier in modifiers)
+    return is_measure or not (before.endswith("ly") or before in SEQUENCE_WORDS | NEGATING)
+
+
+_ARTICLES: Final = frozenset("a an the another his her their".split())
+
+
+def form(verb: str) -> str:
+    """Tell the form of a verb: "base", "third", "participle" or "past"."""
+    word = verb.lower()
+    if word in lexicon.PARTICIPLES or word.endswith("ing"):
+        return "participle"
+    if word in lexicon.VERBS:
+        return "base"
+    is_regular = word.endswith("ed") and not word.endswith("eed")
+    if is_regular or word in lexicon.IRREGULAR_FORMS or word in lexicon.PAST_PARTICIPLES:
+        return "past"
+    return "third" if word in lexicon.FINITE_VERBS or word.endswith("s") else "base"
+
+
+_FOCUS: Final = frozenset("just only simply also really even ever again".split())
+
+
+def word_before(pieces: Pieces, index: int) -> str:
+    """Return the word before a verb, adverbs and "then" left out."""
+    before = index - 1
+    while pieces.word(before).endswith("ly") or pieces.word(before) in SEQUENCE_WORDS | _FOCUS:
+        before -= 1
+    return pieces.word(before)
+
+
+def is_state(pieces: Pieces, action: Action) -> bool:
+    """Tell whether an action is the word that would follow "is" ("left hand up", "mouth open")."""
+    subject, word = subject_of(pieces.graph, action), action.text.lower()
+    is_held = subject is not None and subject.role == "ARG1" and word in lexicon.POSTURES
+    return is_held or (word in _NO_VERBS and word not in lexicon.VERBS)
+
+
+def is_singular(pieces: Pieces, subject: Argument) -> bool:
+    """Tell whether who moves is one person or part of the body."""
+    words = [pieces.word(index) for index in pieces.of(subject)]
+    return not (_PLURALS & set(words) or "and" in words or (words and words[-1] in lexicon.BODY_PLURALS))
