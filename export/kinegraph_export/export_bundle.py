@@ -39,11 +39,13 @@ from kinegraph.bundle.manifest import (
 )
 from kinegraph.bundle.onnx_inspect import summarise
 from kinegraph.bundle.tables import bones_of
+from kinegraph.bundle.vocabulary import FILE as VOCABULARY
 from kinegraph.diffusion.sampling import LevelPlan, initial_noise
 from kinegraph.errors import InvalidInputError, OutputError
 from kinegraph.graph import ROLES
 from kinegraph.motion.postprocess import enforce_bone_lengths
 from kinegraph.motion.skeleton import JOINT_NAMES, PARENTS
+from kinegraph.options import resolve_options
 from kinegraph.pipeline import MotionPipeline
 from kinegraph.text.argument_classifier import read_provenance
 from kinegraph_export.checkpoints import read_run
@@ -58,8 +60,10 @@ from kinegraph_export.graphs import (
 from kinegraph_export.parity import ParityError
 from kinegraph_export.pinned_wheels import MINILM, SPACY_MODEL
 from kinegraph_export.pipeline_parity import SamplingRequest, torch_joints
+from kinegraph_export.vocabulary import build_vocabulary
 from kinegraph_training.bundle_tables import read_tables
-from kinegraph_training.data.caption_cache import read_assets
+from kinegraph_training.data.caption_cache import CaptionEncoder, read_assets
+from kinegraph_training.data.shown_captions import read_shown_captions
 from kinegraph_training.latents import TrainedVae
 
 PROMPTS = (
@@ -111,6 +115,16 @@ def encode_tables(tables: dict[str, FloatArray]) -> bytes:
     buffer = io.BytesIO()
     np.savez(buffer, **tables)
     return buffer.getvalue()
+
+
+def encode_vocabulary(run: Path, assets: Path) -> dict[str, bytes]:
+    """Build vocabulary.npz of the captions that the run was trained on; none if they are too few or not stored."""
+    shown = read_shown_captions(run)
+    try:
+        return {VOCABULARY: build_vocabulary(shown, CaptionEncoder(assets))} if shown else {}
+    except InvalidInputError as error:
+        print(f"the bundle will not tell unknown words: {error}", file=sys.stderr)
+        return {}
 
 
 def build_manifest(
@@ -202,13 +216,18 @@ def pipeline_difference(folder: Path, trained: TrainedModels, specific: TrainedV
     distances = []
     for seed, prompt in enumerate(PROMPTS):
         graph = pipe.parse(prompt)
-        clip = pipe.generate(graph, seed=seed, foot_fix=False)
+        # The stages themselves: `generate` reads orders and negations into the sentence first, and torch does not.
+        features = pipe.encoder.encode_text([graph])
+        options = resolve_options(pipe.manifest, seed=seed, foot_fix=False)
+        options = pipe.encoder.with_length(options, features)
+        latents = pipe.sampler.sample(pipe.encoder.attend(features), None, [options])
+        clip = pipe.decoder.decode(latents, [options], [prompt])[0]
         plans = [LevelPlan(name, spec.tokens, spec.latent_width, 1) for name, spec in pipe.manifest.levels.items()]
         sampling = pipe.manifest.defaults
         request = SamplingRequest(
             clip.frames, initial_noise(seed, plans), sampling.steps, sampling.guidance, sampling.guidance_base
         )
-        expected = torch_joints(trained, pipe.encoder.encode_text([graph])[0], request, specific.mean, specific.std)
+        expected = torch_joints(trained, features[0], request, specific.mean, specific.std)
         expected = enforce_bone_lengths(expected, bones)
         distances.append(np.linalg.norm(clip.joints - expected, axis=-1).mean() * 1000.0)
     return float(np.mean(distances))
@@ -219,7 +238,11 @@ def batch_difference(folder: Path) -> float:
     pipe = MotionPipeline.load(folder)
     graphs = [pipe.parse(prompt) for prompt in PROMPTS]
     together = pipe.batch(graphs, seconds=2, seed=0, foot_fix=False, shared_run=True)
-    alone = [pipe.generate(graph, seconds=2, seed=seed, foot_fix=False) for seed, graph in enumerate(graphs)]
+    # `generate` makes the parts of an order one by one, which a shared run does not.
+    alone = [
+        pipe.batch([graph], seconds=2, seed=seed, foot_fix=False, shared_run=True)[0]
+        for seed, graph in enumerate(graphs)
+    ]
     distances = [np.linalg.norm(a.joints - b.joints, axis=-1).mean() for a, b in zip(together, alone, strict=True)]
     return float(np.mean(distances)) * 1000.0
 
@@ -246,6 +269,7 @@ def export_bundle(run: Path, assets: Path, card: BundleCard, out: Path, precisio
     tables = read_tables(run)
     files = read_assets(assets) | graphs
     files["tables.npz"] = encode_tables(tables)
+    files |= encode_vocabulary(run, assets)
     draft = build_manifest(card, trained, specific, files, parity, precision)
     with tempfile.TemporaryDirectory() as folder:
         staged = Path(folder) / "bundle"

@@ -62,12 +62,13 @@ OTHER_ACTIONS: Final = (
     "lifts a box", "carries a box", "picks something up", "puts something down", "swims", "dives", "rides a bicycle",
     "drives a car", "skates", "skis", "slides", "gallops", "rows a boat", "points at something", "stamps the foot",
     "raises a leg", "lifts the knee", "turns the head", "tilts the head", "looks around", "leans back",
-    "bends the knees",    "shakes hands", "hugs somebody", "prays", "eats", "drinks from a cup", "sleeps", "writes", "types on a keyboard",
-    "plays the guitar", "plays the piano", "plays tennis", "swings a bat", "swings a golf club", "shoots an arrow",
-    "aims a gun", "dodges", "ducks", "does push-ups", "does lunges", "juggles", "knocks on a door", "opens a door",
-    "scratches the head", "rubs the hands", "wipes a table", "sweeps the floor", "digs a hole", "chops wood", "yawns",
-    "sneezes", "coughs", "laughs", "cries", "talks", "sings", "whistles", "listens", "stops", "waits", "waddles",
-    "curtsies", "trips over something", "steps over something", "hangs from a bar", "balances on one leg", "marches",
+    "bends the knees", "shakes hands", "hugs somebody", "prays", "eats", "drinks from a cup", "sleeps", "writes",
+    "types on a keyboard", "plays the guitar", "plays the piano", "plays tennis", "swings a bat", "swings a golf club",
+    "shoots an arrow", "aims a gun", "dodges", "ducks", "does push-ups", "does lunges", "juggles", "knocks on a door",
+    "opens a door", "scratches the head", "rubs the hands", "wipes a table", "sweeps the floor", "digs a hole",
+    "chops wood", "yawns", "sneezes", "coughs", "laughs", "cries", "talks", "sings", "whistles", "listens", "stops",
+    "waits", "waddles", "curtsies", "trips over something", "steps over something", "hangs from a bar",
+    "balances on one leg", "marches",
 )  # fmt: skip
 """Everyday actions. Those that training did not show are embedded too: what is nearer to one of them is not known."""
 
@@ -140,11 +141,14 @@ def action_phrases(clips: Sequence[ShownCaptions], graphs: dict[str, SemanticGra
             texts = [_first_clause(graphs[text]) for text in clip.captions]
             wordings[label].update(texts)
             everywhere.update(texts)
+    labelled = {label for clip in clips for label in clip.actions}
     phrases = []
     for label, count in sorted(counts.items(), key=lambda item: (-item[1], item[0])):
-        texts = PHRASES[label].finite if label in PHRASES else _typical(wordings[label], everywhere)
+        has_grammar = label in labelled and label in PHRASES
+        texts = PHRASES[label].finite if has_grammar else _typical(wordings[label], everywhere)
         if label and count >= MIN_CLIPS and texts:
-            phrases.append(Phrase(label, "action", count, ACTION_SENTENCE.format(texts[0]), texts))
+            name = label if label in labelled else texts[0].split()[0]
+            phrases.append(Phrase(name, "action", count, ACTION_SENTENCE.format(texts[0]), texts))
     return phrases
 
 
@@ -166,7 +170,8 @@ def _typical(wordings: Counter[str], everywhere: Counter[str]) -> tuple[str, ...
         wordings: of the action, with the number of captions that have them.
         everywhere: of all actions; a wording that is mostly of others ("stands") names none.
     """
-    own = [text for text, count in wordings.items() if text and 2 * count > everywhere[text]] or list(wordings)
+    named = [text for text in wordings if text]
+    own = [text for text in named if 2 * wordings[text] > everywhere[text]] or named
     ranked = sorted(own, key=lambda text: (not text.split()[0].endswith("s"), len(text), text))
     return tuple(ranked[:MAX_WORDINGS])
 

@@ -29,7 +29,8 @@ from kinegraph.diffusion.sampling import NoiseSchedule
 from kinegraph_training.bundle_tables import common_bone_lengths, fit_duration, write_tables
 from kinegraph_training.config import DataConfig, OptimiserConfig, Preset, read_preset
 from kinegraph_training.data.caption_cache import CaptionGraphs, CaptionStates, encode_graphs, encode_states
-from kinegraph_training.data.clips import MotionClip
+from kinegraph_training.data.clips import MotionClip, read_jsonl
+from kinegraph_training.data.shown_captions import write_shown_captions
 from kinegraph_training.dataset import Dataset, drop_long_clips, training_set, validation_set
 from kinegraph_training.denoiser_batches import DenoiserBatch, DenoiserBatches
 from kinegraph_training.latents import Latents, encode_clips, encode_levels, read_vae
@@ -283,6 +284,7 @@ def main(argv: list[str] | None = None) -> None:
     clips = load_clips(arguments, preset.data)
     captions = encode_captions(clips, preset.denoiser.condition, arguments.assets, run)
     write_bundle_tables(run, clips.train, captions)
+    write_shown_captions(run, clips.train.clips, recorded=read_jsonl(arguments.data / "index.jsonl"))
     latents = encode_latents(clips, preset.denoiser.levels, run)
     train_batches, val_batches = make_loaders(clips, captions, latents, preset)
 

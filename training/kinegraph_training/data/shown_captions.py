@@ -42,7 +42,6 @@ def write_shown_captions(run: Path, clips: Iterable[MotionClip], recorded: Itera
     ids = frozenset(recorded)
     rows = (
         {
-            "id": clip.id,
             "captions": clip.captions,
             "actions": clip.actions,
             "style": clip.style,
@@ -63,10 +62,12 @@ def read_shown_captions(run: Path) -> list[ShownCaptions]:
     """
     if not (run / FILE).is_file():
         return []
+    lines = (run / FILE).read_text(encoding="utf-8").split("\n")
     try:
+        rows = [json.loads(line) for line in lines if line]
         return [
             ShownCaptions(tuple(row["captions"]), tuple(row["actions"]), str(row["style"]), bool(row["recorded"]))
-            for row in read_jsonl(run / FILE).values()
+            for row in rows
         ]
     except (ValueError, TypeError, KeyError) as error:
         raise InvalidInputError(f"{run / FILE} holds no captions of a training run: {error!r}") from error
