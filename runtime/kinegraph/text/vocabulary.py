@@ -123,6 +123,8 @@ class _Finder:
         following = self._words[index + 1].text if index + 1 < len(self._words) else ""
         if (word in STOPS and following.endswith("ing")) or word + following in lexicon.ROTATIONS:
             return True
+        if word in ("couple", "pair") and following == "of":
+            return True
         return word[0].isdigit() or self._is_shown(word) or all(map(self._is_shown, word.split("-")))
 
     def _is_shown(self, word: str) -> bool:
@@ -136,7 +138,7 @@ class _Finder:
         text = word.text
         if len(text) < _MIN_CORRECTED or not text.isascii() or not text.isalpha() or self._is_shown(text):
             return word
-        if any(map(self._encoder.is_word, base_forms(text))):
+        if text in PERSON_PLURALS or any(map(self._encoder.is_word, base_forms(text))):
             return word
         slips = (edit for edit in edits_of(text) if len(edit) >= _MIN_CORRECTED and self._is_shown(edit))
         return replace(word, text=next(slips, text))
