@@ -8,6 +8,7 @@ without negations (they are concepts of weight -1, EnergyMoGen Eq. 8) and withou
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Final
@@ -16,9 +17,16 @@ from kinegraph.bundle.manifest import Manifest
 from kinegraph.concepts import SamplingPlan
 from kinegraph.errors import InvalidGraphError
 from kinegraph.graph import Action, Argument, SemanticGraph
-from kinegraph.interpretation import known_wording, split_negations, split_sequence, without_quantity
+from kinegraph.interpretation import (
+    in_third_person,
+    known_wording,
+    split_negations,
+    split_sequence,
+    without_quantity,
+)
 from kinegraph.options import GenerateOptions
-from kinegraph.text.quantities import Quantity, read_quantities
+from kinegraph.text.lexicon import WORDINGS
+from kinegraph.text.quantities import MAY_HOLD_QUANTITY, Quantity, read_quantities
 
 STANDING: Final = SemanticGraph(
     "a person stands still",
@@ -35,6 +43,9 @@ was shown sequences as long as their parts. Shorter ones are made of their parts
 """
 SECONDS_PER_STEP: Final = 0.55
 """Length that one step of a walk takes."""
+_TOLD: Final = re.compile(r"(?:an?|the|one|some(?:one|body)|he|she|it|they)\b", re.IGNORECASE)
+"""Beginnings of sentences in the third person, which most captions have: a quick look before words are read."""
+_WORDINGS: Final = re.compile("|".join(pattern for pattern, _ in WORDINGS), re.IGNORECASE)
 
 
 @dataclass(frozen=True)
@@ -71,26 +82,30 @@ def interpret(graph: SemanticGraph, manifest: Manifest, seconds: float | None = 
     Raises:
         InvalidGraphError: what is left of the graph cannot be put in words.
     """
-    wanted = graph
     notes: list[str] = []
     lengths: dict[int, float] = {}  # by action
-    for quantity in read_quantities(graph):
+    wanted = graph
+    quantities = read_quantities(graph) if MAY_HOLD_QUANTITY.search(graph.caption) else ()
+    for quantity in quantities:
         length, note = _spoken_seconds(quantity, manifest)
         notes += [] if note is None else [note]
         if length is not None:
             lengths.setdefault(quantity.action, length)
-    for quantity in reversed(read_quantities(graph)):
+    for quantity in reversed(quantities):
         if quantity.unit != "steps":  # captions of training name steps
             wanted = _without(wanted, quantity)
-    positive, negated = split_negations(wanted)
+    positive: SemanticGraph | None = wanted
+    negated: list[SemanticGraph] = []
+    if any(action.negated for action in graph.actions):
+        positive, negated = split_negations(wanted)
     if positive is None:
         notes.append("the sentence only says what must not happen; the person is asked to stand still")
         positive = STANDING
     spoken = min(sum(lengths.values()), manifest.seconds_limits[1]) if lengths else None
     return Request(
         graph,
-        known_wording(positive),
-        tuple(map(known_wording, negated)),
+        _as_trained(positive),
+        tuple(map(_as_trained, negated)),
         spoken if seconds is None else None,
         bool(lengths),
         tuple(notes),
@@ -109,6 +124,13 @@ def _spoken_seconds(quantity: Quantity, manifest: Manifest) -> tuple[float | Non
     made = min(max(wanted, shortest), longest)
     how = "`sequence` makes longer clips" if wanted > longest else "loop or cut it"
     return made, f"{quantity.text!r}: a clip has {shortest:g} to {longest:g} seconds, this one {made:g}; {how}"
+
+
+def _as_trained(graph: SemanticGraph) -> SemanticGraph:
+    """Tell a graph as captions of training are told: in the third person, in words that they have."""
+    if _TOLD.match(graph.caption) is None:
+        graph = in_third_person(graph)
+    return known_wording(graph) if _WORDINGS.search(graph.caption) else graph
 
 
 def _without(graph: SemanticGraph, quantity: Quantity) -> SemanticGraph:
