@@ -68,7 +68,7 @@ def test_rates_are_those_of_the_clips() -> None:
     table = negations.markdown_table(
         {"bundle": "edge", "seeds": 2, "summary": total, "rows": rows, "captured_windows": windows}
     )
-    assert "| without ...ing | 1 | 1.00 | 1.00 | 1.00 | yes |" in table and "7 of 8 sentences miss a goal" in table
+    assert "| without ...ing | 1 | 1.000 | 1.000 | 1.000 | yes |" in table and "7 of 8 sentences miss a goal" in table
 
 
 def test_predicates_hold_of_captured_windows_and_of_no_others() -> None:

@@ -74,6 +74,6 @@ def test_lengths_are_those_said_and_never_the_longest() -> None:
     checked = {f"{seconds:g}": {"right": 1.0, "wrong": 0.0} for seconds in wording.ORDER_SECONDS}
     result = {"bundle": "edge", "seeds": 1, "turns": turns, "orders": orders, "captured_orders": checked}
     table = wording.markdown_table(result | {"lengths": lengths})
-    assert "| anti-clockwise | left | 1.00 | 1.00 | 1.00 | 1.00 |" in table
+    assert "| anti-clockwise | left | 1.00 | 1.00 | 1.00 | 1.00 | 1.00 |" in table
     assert "| a person walks for four seconds | 4 | 4.00 |" in table and "1 of 30 everyday sentences" in table
     assert {name for _, *names in wording.ORDERS for name in names} <= ACTIONS.keys()

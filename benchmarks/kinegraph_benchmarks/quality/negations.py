@@ -204,8 +204,8 @@ def markdown_table(result: Mapping[str, Any]) -> str:
         lines += [f"| {title} | {head}", "|---" * 6 + "|"]
         everything = {"**all**": total["all"]} if title == "form" else {}
         for name, row in {**rows, **everything}.items():
-            kept = "-" if row["kept"] is None else f"{row['kept']:.2f}"
-            cells = f"{row['sentences']} | {row['gone']:.2f} | {kept} | {row['happens_if_asked']:.2f}"
+            kept = "-" if row["kept"] is None else f"{row['kept']:.3f}"
+            cells = f"{row['sentences']} | {row['gone']:.3f} | {kept} | {row['happens_if_asked']:.3f}"
             lines.append(f"| {name} | {cells} | {'yes' if row['met'] else 'no'} |")
         lines.append("")
     lines += [f"Goals: gone in {GONE}, the rest in {KEPT} of the sentence without negation.", ""]
