@@ -3,7 +3,7 @@
     graph --interpret--> Request(wanted, negated, seconds, notes)
 
 The graph of a clip stays what the user wrote. What is encoded in its place says the same in words that the model knows,
-without negations (they are concepts of weight -1, EnergyMoGen Eq. 8) and without lengths (they are options).
+without negations (they are concepts of negative weight, EnergyMoGen Eq. 8) and without lengths (they are options).
 """
 
 from __future__ import annotations

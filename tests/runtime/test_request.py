@@ -9,7 +9,7 @@ import pytest
 
 from kinegraph import InvalidInputError, MotionPipeline
 from kinegraph.bundle.manifest import Manifest
-from kinegraph.concepts import NEGATION_WEIGHT
+from kinegraph.concepts import SPOKEN_NEGATION_WEIGHT
 from kinegraph.graph import Action, SemanticGraph
 from kinegraph.options import part_seed, resolve_options
 from kinegraph.request import STANDING, interpret, share_frames, split_in_order
@@ -56,11 +56,11 @@ def test_the_length_that_the_caller_gives_goes_first(toy: MotionPipeline) -> Non
     np.testing.assert_array_equal(spoken.joints, plain.joints)  # the model is not told of seconds
 
 
-def test_a_negated_action_is_a_concept_of_weight_minus_one(toy: MotionPipeline, manifest: Manifest) -> None:
+def test_a_negated_action_is_a_concept_of_negative_weight(toy: MotionPipeline, manifest: Manifest) -> None:
     request = interpret(toy.parse("a person walks forward without waving the hands"), manifest)
     assert request.wanted.caption == "a person walks forward"
     assert [graph.caption for graph in request.negated] == ["a person waves the hands"]
-    assert request.plan.weights.concepts == (1.0,) and request.plan.weights.negated == (NEGATION_WEIGHT,)
+    assert request.plan.weights.concepts == (1.0,) and request.plan.weights.negated == (SPOKEN_NEGATION_WEIGHT,)
     assert not request.plan.is_plain
     walk = toy.generate("a person walks forward", seconds=1.5, **FEW)
     without = toy.generate("a person walks forward without waving the hands", seconds=1.5, **FEW)
