@@ -30,7 +30,7 @@ def test_a_clip_is_that_of_its_sentence_its_length_and_its_seed(toy: MotionPipel
 
 def test_without_seconds_every_sentence_decides_for_itself(toy: MotionPipeline) -> None:
     clips = toy.batch(TEXTS, seed=3, **FEW)
-    alone = [toy.generate(text, seed=3 + place, **FEW) for place, text in enumerate(TEXTS)]
+    alone = [toy.generate(text, seed=3 + index, **FEW) for index, text in enumerate(TEXTS)]
     assert [clip.frames for clip in clips] == [clip.frames for clip in alone]
     assert len({clip.frames for clip in clips}) > 1
 

@@ -83,8 +83,8 @@ def test_on_the_command_line(
     out = tmp_path / "bench.json"
     assert cli.main(["bench", "--seconds", "1", "--repeats", "2", "--threads", "1", "--json", str(out)]) == 0
     assert "p50" in capsys.readouterr().out
-    found = json.loads(out.read_text(encoding="utf-8"))
-    assert len(found["stages"]["decode"]) == 2 and found["machine"]["onnxruntime"]
+    report = json.loads(out.read_text(encoding="utf-8"))
+    assert len(report["stages"]["decode"]) == 2 and report["machine"]["onnxruntime"]
     assert "repeats must be" in fails(capsys, "bench", "--repeats", "0")
     assert "seconds must be" in fails(capsys, "bench", "--seconds", "99")
     assert "suffix" in fails(capsys, "bench", "--json", str(tmp_path / "bench.txt"))

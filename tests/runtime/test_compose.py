@@ -63,7 +63,7 @@ def test_fusion_with_one_share_is_that_term(
 
 def test_methods_differ_and_weights_matter(toy: MotionPipeline) -> None:
     concepts = [Concept(WALK), Concept(WAVE)]
-    latent, semantic = (toy.compose(concepts, method=each, **FEW).joints for each in ("latent", "semantic"))
+    latent, semantic = (toy.compose(concepts, method=method, **FEW).joints for method in ("latent", "semantic"))
     assert not np.allclose(latent, semantic, atol=1e-3)
     lighter = toy.compose([Concept(WALK), Concept(WAVE, 0.2)], method="latent", **FEW).joints
     assert not np.allclose(latent, lighter, atol=1e-3)
@@ -137,9 +137,9 @@ def test_one_run_per_step(toy: MotionPipeline, monkeypatch: pytest.MonkeyPatch) 
 
 def test_edited_graphs_are_concepts_too(toy: MotionPipeline) -> None:
     graph = toy.parse(WALK)
-    found = toy.compose([Concept(graph), WAVE], method="latent", **FEW)
-    np.testing.assert_array_equal(found.joints, toy.compose([WALK, WAVE], method="latent", **FEW).joints)
-    assert found.text == f"{WALK} while {WAVE}"
+    composed = toy.compose([Concept(graph), WAVE], method="latent", **FEW)
+    np.testing.assert_array_equal(composed.joints, toy.compose([WALK, WAVE], method="latent", **FEW).joints)
+    assert composed.text == f"{WALK} while {WAVE}"
 
 
 BAD: list[tuple[Any, dict[str, Any], str]] = [

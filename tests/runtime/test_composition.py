@@ -98,8 +98,8 @@ def test_one_run_is_the_equations(
 ) -> None:
     keys, values = contexts(len(weights) + 3, seed=len(weights))
     latent = np.random.default_rng(9).standard_normal((TOKENS, WIDTH))
-    found = wired(latent, plan_rows(mixture(weights, lambdas), scale, coarse=coarse), keys, values)
-    np.testing.assert_allclose(found, equations(latent, weights, lambdas, scale, keys, values, coarse), atol=2e-5)
+    predicted = wired(latent, plan_rows(mixture(weights, lambdas), scale, coarse=coarse), keys, values)
+    np.testing.assert_allclose(predicted, equations(latent, weights, lambdas, scale, keys, values, coarse), atol=2e-5)
 
 
 @pytest.mark.parametrize("lambdas", LAMBDAS)
@@ -125,8 +125,8 @@ def test_latent_aware_negation_is_the_same_inside_and_beside() -> None:
     keys, values = contexts(5, seed=2)
     latent = np.random.default_rng(3).standard_normal((TOKENS, WIDTH))
     plans = [
-        plan_rows(each, 2.0, coarse=True)
-        for each in (CompositionWeights((1.0, -0.7)), CompositionWeights((1.0,), (), (-0.7,)))
+        plan_rows(weights, 2.0, coarse=True)
+        for weights in (CompositionWeights((1.0, -0.7)), CompositionWeights((1.0,), (), (-0.7,)))
     ]
     inside, beside = (wired(latent, plan, keys, values) for plan in plans)
     np.testing.assert_allclose(inside, beside, atol=1e-5)
@@ -134,12 +134,12 @@ def test_latent_aware_negation_is_the_same_inside_and_beside() -> None:
 
 def test_step_sizes_are_those_of_text_rows() -> None:
     plan = plan_rows(mixture([1.0, 0.5], (0.2, 0.3, 0.5), -1.0), 2.0, coarse=True)
-    found = agd_step_sizes(plan.routing, (4e-4, 1e-3))
-    assert found.shape == (len(plan.routing.src), 2) and found.dtype == np.float32
+    gamma = agd_step_sizes(plan.routing, (4e-4, 1e-3))
+    assert gamma.shape == (len(plan.routing.src), 2) and gamma.dtype == np.float32
     has_text = plan.routing.context >= 2
     assert 0 < has_text.sum() < len(has_text)
-    np.testing.assert_allclose(found[has_text], [[4e-4, 1e-3]] * has_text.sum())
-    assert not found[~has_text].any()
+    np.testing.assert_allclose(gamma[has_text], [[4e-4, 1e-3]] * has_text.sum())
+    assert not gamma[~has_text].any()
 
 
 @given(
@@ -165,9 +165,9 @@ def test_one_concept_of_weight_one_is_plain_guidance(lambdas: tuple[float, float
     keys, values = contexts(4, seed=4)
     keys[3], values[3] = keys[2], values[2]  # the joint text of one concept is that concept
     latent = np.random.default_rng(5).standard_normal((TOKENS, WIDTH))
-    found = wired(latent, plan_rows(mixture([1.0], lambdas), 2.5, coarse=True), keys, values)
+    predicted = wired(latent, plan_rows(mixture([1.0], lambdas), 2.5, coarse=True), keys, values)
     null, text = (network(latent, {k: 1.0}, keys, values) for k in (0, 2))
-    np.testing.assert_allclose(found, null + 2.5 * (text - null), atol=1e-5)
+    np.testing.assert_allclose(predicted, null + 2.5 * (text - null), atol=1e-5)
 
 
 def test_rows_that_count_for_nothing_are_not_run() -> None:

@@ -58,7 +58,7 @@ def test_nodes_are_the_sentence_and_means_over_their_pieces() -> None:
 
 
 def test_edges_run_both_ways_and_carry_their_type() -> None:
-    found = arrays()
+    graph_arrays = arrays()
     ma, mnr, loop = ROLE_INDEX["ARGM-MA"], ROLE_INDEX["ARGM-MNR"], ROLE_INDEX["OTHERS"]
     expected = np.array(
         [
@@ -68,17 +68,17 @@ def test_edges_run_both_ways_and_carry_their_type() -> None:
             [NO_EDGE, mnr, NO_EDGE, loop],
         ]
     )
-    np.testing.assert_array_equal(found.relation, expected)
-    np.testing.assert_array_equal(found.kind, [MOTION, ACTION, ACTION, SPECIFIC])
-    np.testing.assert_array_equal(found.order, [0, 1, 2, 1])
+    np.testing.assert_array_equal(graph_arrays.relation, expected)
+    np.testing.assert_array_equal(graph_arrays.kind, [MOTION, ACTION, ACTION, SPECIFIC])
+    np.testing.assert_array_equal(graph_arrays.order, [0, 1, 2, 1])
 
 
 def test_weights_stand_on_their_edges_and_multiply_along_the_path() -> None:
-    found = arrays()
-    np.testing.assert_array_equal(found.edge_weight, found.edge_weight.T)
-    assert found.edge_weight[0, 1] == 0.5 and found.edge_weight[1, 3] == 2.0
-    assert (np.diag(found.edge_weight) == 1).all()
-    np.testing.assert_allclose(found.path_weight, [1.0, 0.5, 1.0, 1.0])
+    graph_arrays = arrays()
+    np.testing.assert_array_equal(graph_arrays.edge_weight, graph_arrays.edge_weight.T)
+    assert graph_arrays.edge_weight[0, 1] == 0.5 and graph_arrays.edge_weight[1, 3] == 2.0
+    assert (np.diag(graph_arrays.edge_weight) == 1).all()
+    np.testing.assert_allclose(graph_arrays.path_weight, [1.0, 0.5, 1.0, 1.0])
 
 
 def test_a_weight_is_a_log_prior_and_none_is_a_node_that_is_not_there() -> None:
@@ -98,23 +98,23 @@ def test_padding_carries_no_edge_no_node_and_no_weight() -> None:
     assert feeds["nodes"].shape == (2, 4, 5)
     np.testing.assert_array_equal(feeds["node_mask"], [[1, 1, 1, 1], [1, 1, 0, 0]])
     assert (feeds["relation"][1, 2:] == NO_EDGE).all() and (feeds["relation"][1, :, 2:] == NO_EDGE).all()
-    found = make_conditions([arrays(), small], encoded([arrays(), small]))
-    np.testing.assert_array_equal(found.bias[1], [0.0, 0.0, PADDING_BIAS, PADDING_BIAS])
-    np.testing.assert_allclose(found.bias[0], np.log([1.0, 0.5, 1.0, 1.0]), rtol=1e-6)
+    batch = make_conditions([arrays(), small], encoded([arrays(), small]))
+    np.testing.assert_array_equal(batch.bias[1], [0.0, 0.0, PADDING_BIAS, PADDING_BIAS])
+    np.testing.assert_allclose(batch.bias[0], np.log([1.0, 0.5, 1.0, 1.0]), rtol=1e-6)
 
 
 @pytest.mark.parametrize(("kinds", "left"), [(("motion",), 1), (("motion", "action"), 3), (NODE_KINDS, 4)])
 def test_a_level_sees_the_nodes_of_its_kinds(kinds: tuple[str, ...], left: int) -> None:
-    found = for_level(make_conditions([arrays()], encoded([arrays()])), kinds)
-    assert found.nodes.shape == (1, left, 5)
-    assert (found.bias > PADDING_BIAS).all()
+    seen = for_level(make_conditions([arrays()], encoded([arrays()])), kinds)
+    assert seen.nodes.shape == (1, left, 5)
+    assert (seen.bias > PADDING_BIAS).all()
 
 
 def test_a_level_masks_what_only_a_neighbour_of_the_batch_needs() -> None:
-    one = arrays(SemanticGraph(CAPTION, (Action("waves", 17, 22, 0, 1.0, (Argument("ARG1", "slowly", 6, 12),)),)))
-    found = for_level(make_conditions([arrays(), one], encoded([arrays(), one])), ("motion", "action"))
+    second = arrays(SemanticGraph(CAPTION, (Action("waves", 17, 22, 0, 1.0, (Argument("ARG1", "slowly", 6, 12),)),)))
+    seen = for_level(make_conditions([arrays(), second], encoded([arrays(), second])), ("motion", "action"))
     # Its third node is a specific, which this level must not see, though the other graph has an action there.
-    np.testing.assert_array_equal(found.bias[1] > PADDING_BIAS, [True, True, False])
+    np.testing.assert_array_equal(seen.bias[1] > PADDING_BIAS, [True, True, False])
 
 
 def test_weight_zero_leaves_what_deletion_leaves() -> None:
@@ -122,9 +122,9 @@ def test_weight_zero_leaves_what_deletion_leaves() -> None:
     zero = SemanticGraph(CAPTION, (silent, GRAPH.actions[1]))
     gone = SemanticGraph(CAPTION, (replace(GRAPH.actions[0], arguments=()), GRAPH.actions[1]))
     batch = [arrays(zero), arrays(gone)]
-    found = for_level(make_conditions(batch, encoded(batch)), NODE_KINDS)
-    assert found.nodes.shape[1] == 3
-    for part in (found.nodes, found.kind, found.order, found.bias):
+    seen = for_level(make_conditions(batch, encoded(batch)), NODE_KINDS)
+    assert seen.nodes.shape[1] == 3
+    for part in (seen.nodes, seen.kind, seen.order, seen.bias):
         np.testing.assert_array_equal(part[0], part[1])
 
 

@@ -37,8 +37,10 @@ def counted(sessions: Sessions, runs: Counter[str]) -> Sessions:
     single = ("text_encoder", "graph_encoder", "decoder")
     changes: dict[str, Any] = {name: Counted(getattr(sessions, name), name, runs) for name in single}
     for part in ("context", "clock", "step"):
-        found = {level: Counted(own, f"{part}_{level}", runs) for level, own in getattr(sessions, part).items()}
-        changes[part] = MappingProxyType(found)
+        watched = {
+            level: Counted(session, f"{part}_{level}", runs) for level, session in getattr(sessions, part).items()
+        }
+        changes[part] = MappingProxyType(watched)
     return replace(sessions, **changes)
 
 
@@ -72,7 +74,7 @@ def test_rows_of_one_length_share_their_modulation(
             seen.add((len(feeds["latent"]), len(feeds["modulation"])))
             return super().run(names, feeds)
 
-    steps = {level: Watched(own, level, Counter()) for level, own in toy.sampler.sessions.step.items()}
+    steps = {level: Watched(session, level, Counter()) for level, session in toy.sampler.sessions.step.items()}
     sessions = replace(toy.sampler.sessions, step=MappingProxyType(steps))
     toy.with_sessions(sessions).batch([GRAPH, GRAPH], seconds=seconds, seed=1, steps=STEPS, shared_run=True)
     assert seen == {(4, modulations)}

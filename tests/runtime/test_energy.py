@@ -42,8 +42,8 @@ def by_loops(field: np.ndarray, spacing: float) -> np.ndarray:
                     row[k * size + m], row[i * size + j] = 1.0, -1.0
                     rows.append(row)
                     values.append(spacing * 0.5 * (field[i, j, axis] + field[k, m, axis]))
-    found = np.linalg.lstsq(np.array(rows), np.array(values), rcond=None)[0].reshape(size, size)
-    return found - found.mean()
+    energy = np.linalg.lstsq(np.array(rows), np.array(values), rcond=None)[0].reshape(size, size)
+    return energy - energy.mean()
 
 
 def test_any_field_has_the_energy_of_its_definition() -> None:
@@ -57,13 +57,13 @@ def test_any_field_has_the_energy_of_its_definition() -> None:
 
 
 def test_a_gradient_gives_its_potential_and_a_whirl_none() -> None:
-    place = np.linspace(-1.5, 2, 15)
-    x, y = np.meshgrid(place, place)
+    axis = np.linspace(-1.5, 2, 15)
+    x, y = np.meshgrid(axis, axis)
     bowl = 0.5 * x**2 + y**2 + 0.3 * x * y - y
-    energy, rest = potential(np.stack([x + 0.3 * y, 2 * y + 0.3 * x - 1], axis=-1), place[1] - place[0])
+    energy, rest = potential(np.stack([x + 0.3 * y, 2 * y + 0.3 * x - 1], axis=-1), axis[1] - axis[0])
     np.testing.assert_allclose(energy, bowl - bowl.mean(), atol=1e-10)
     assert rest < 1e-10
-    energy, rest = potential(np.stack([-y, x], axis=-1), place[1] - place[0])
+    energy, rest = potential(np.stack([-y, x], axis=-1), axis[1] - axis[0])
     assert rest > 0.5
 
 
@@ -182,10 +182,10 @@ def test_bad_input_is_refused_as_compose_does(toy: MotionPipeline) -> None:
 
 
 def some_maps(count: int = 3, label: str = "a $5 walk") -> EnergyMaps:
-    place = np.linspace(-1, 1, 7)
-    bowl = place[:, None] ** 2 + place[None] ** 2
+    axis = np.linspace(-1, 1, 7)
+    bowl = axis[:, None] ** 2 + axis[None] ** 2
     maps = [EnergyMap(label, bowl * (k + 1), np.array([0.1 * k, 0.0]), 0.3 * k, 0.01) for k in range(count)]
-    return EnergyMaps(tuple(maps), place, place, 101)
+    return EnergyMaps(tuple(maps), axis, axis, 101)
 
 
 @pytest.mark.parametrize("count", [1, 3, 10])

@@ -27,10 +27,10 @@ RUNS = {
 
 
 def test_every_example_is_run_here_and_fits_a_screen() -> None:
-    found = {path.stem: path.read_text(encoding="utf-8") for path in EXAMPLES.glob("*.py")}
-    assert sorted(found) == sorted(RUNS)
-    assert {name: len(text.splitlines()) for name, text in found.items() if len(text.splitlines()) > ONE_SCREEN} == {}
-    assert len(found["embed"].splitlines()) == 10
+    sources = {path.stem: path.read_text(encoding="utf-8") for path in EXAMPLES.glob("*.py")}
+    assert sorted(sources) == sorted(RUNS)
+    assert {name: len(text.splitlines()) for name, text in sources.items() if len(text.splitlines()) > ONE_SCREEN} == {}
+    assert len(sources["embed"].splitlines()) == 10
 
 
 @pytest.mark.parametrize("name", sorted(RUNS))

@@ -66,8 +66,8 @@ def run(code: str, **variables: str) -> dict[str, object]:
     )
     assert done.returncode == 0, done.stderr
     assert done.stderr == ""
-    found: dict[str, object] = json.loads(done.stdout)
-    return found
+    report: dict[str, object] = json.loads(done.stdout)
+    return report
 
 
 def third_party(modules: object) -> set[str]:
@@ -76,13 +76,13 @@ def third_party(modules: object) -> set[str]:
 
 
 def test_import_loads_nothing_heavy_and_changes_nothing() -> None:
-    found = run("import kinegraph\nkinegraph.MotionPipeline, kinegraph.Clip, kinegraph.SemanticGraph\n")
-    loaded = third_party(found["modules"])
+    report = run("import kinegraph\nkinegraph.MotionPipeline, kinegraph.Clip, kinegraph.SemanticGraph\n")
+    loaded = third_party(report["modules"])
     assert "onnxruntime" in loaded
     assert not loaded & HEAVY
-    assert found["threads"] == 1
-    assert found["handlers"] == 0
-    assert found["environment"] == {TELEMETRY: "1"}
+    assert report["threads"] == 1
+    assert report["handlers"] == 0
+    assert report["environment"] == {TELEMETRY: "1"}
 
 
 def test_nothing_of_this_machine_is_told_to_anybody(tmp_path: Path) -> None:
@@ -97,8 +97,8 @@ def test_what_the_host_says_of_telemetry_stays() -> None:
 
 def test_only_numpy_and_onnxruntime_come_along() -> None:
     baseline = third_party(run("import numpy, onnxruntime\n")["modules"])
-    found = third_party(run("import kinegraph\nkinegraph.MotionPipeline\n")["modules"])
-    assert found <= baseline
+    loaded = third_party(run("import kinegraph\nkinegraph.MotionPipeline\n")["modules"])
+    assert loaded <= baseline
 
 
 def test_help_needs_neither_numpy_nor_onnxruntime() -> None:

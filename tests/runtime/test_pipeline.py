@@ -142,20 +142,20 @@ def with_base(toy: MotionPipeline, base: str) -> MotionPipeline:
 def test_what_guidance_leads_away_from_cancels_at_scale_one(toy: MotionPipeline) -> None:
     bases = [with_base(toy, base) for base in ("empty", "coarse")]
     one, other = (
-        each.generate("a person turns right", seconds=1, seed=5, steps=FEW, guidance=1).joints for each in bases
+        variant.generate("a person turns right", seconds=1, seed=5, steps=FEW, guidance=1).joints for variant in bases
     )
     np.testing.assert_allclose(one, other, atol=1e-4)
     one, other = (
-        each.generate("a person turns right", seconds=1, seed=5, steps=FEW, guidance=3).joints for each in bases
+        variant.generate("a person turns right", seconds=1, seed=5, steps=FEW, guidance=3).joints for variant in bases
     )
     assert not np.allclose(one, other, atol=1e-4)
 
 
 @pytest.mark.parametrize("base", ["empty", "coarse"])
 def test_a_single_concept_is_plain_guidance_whatever_it_leads_away_from(toy: MotionPipeline, base: str) -> None:
-    own, text = with_base(toy, base), "a person turns right"
-    plain = own.generate(text, seconds=1, seed=5, steps=FEW, guidance=3).joints
-    composed = own.compose([text], seconds=1, seed=5, steps=FEW, guidance=3).joints
+    variant, text = with_base(toy, base), "a person turns right"
+    plain = variant.generate(text, seconds=1, seed=5, steps=FEW, guidance=3).joints
+    composed = variant.compose([text], seconds=1, seed=5, steps=FEW, guidance=3).joints
     np.testing.assert_allclose(composed, plain, atol=1e-4)
 
 
@@ -226,8 +226,8 @@ class StandIn:
         self.shapes.append(feeds["latent"].shape)
         finest = self.toy.manifest.levels["specific"]
         zeros = np.zeros((len(feeds["latent"]), finest.tokens, finest.latent_width), dtype=np.float32)
-        found: list[np.ndarray] = self.toy.decoder.sessions.decoder.run(names, {**feeds, "latent": zeros})
-        return found
+        outputs: list[np.ndarray] = self.toy.decoder.sessions.decoder.run(names, {**feeds, "latent": zeros})
+        return outputs
 
 
 @pytest.mark.parametrize("weight", [1.0, 0.5])
@@ -240,11 +240,11 @@ def test_each_coarser_level_is_shown_and_changes_nothing(toy: MotionPipeline, we
         return decoder
 
     decoders = {level: partial(open_decoder, level) for level in ("motion", "action")}
-    own = toy.with_sessions(replace(toy.decoder.sessions, coarse_decoders=decoders))  # type: ignore[arg-type]
-    graph = with_weight(own.parse("a person walks slowly"), "slowly", weight)
+    watched = toy.with_sessions(replace(toy.decoder.sessions, coarse_decoders=decoders))  # type: ignore[arg-type]
+    graph = with_weight(watched.parse("a person walks slowly"), "slowly", weight)
     wish = {"seconds": 2, "seed": 7, "steps": FEW}
     shown: list[tuple[str, kinegraph.Clip]] = []
-    clip = own.generate(graph, on_level=lambda *level: shown.append(level), **wish)
+    clip = watched.generate(graph, on_level=lambda *level: shown.append(level), **wish)
     assert [level for level, _ in shown] == ["motion", "action"] == opened
     levels = toy.manifest.levels
     assert decoder.shapes == [(1, levels[name].tokens, levels[name].latent_width) for name, _ in shown]
@@ -252,7 +252,7 @@ def test_each_coarser_level_is_shown_and_changes_nothing(toy: MotionPipeline, we
         assert (coarse.frames, coarse.seed, coarse.text) == (clip.frames, clip.seed, clip.text)
     assert clip.joints.tobytes() == toy.generate(graph, **wish).joints.tobytes()
     assert clip.graph == graph
-    own.generate(graph, **wish)
+    watched.generate(graph, **wish)
     assert opened == ["motion", "action"]  # not even decoded where nobody looks
 
 

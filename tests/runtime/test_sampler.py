@@ -38,13 +38,13 @@ def test_every_step_of_every_level_is_told_in_order() -> None:
 
 
 def test_every_level_is_told_with_its_final_latent_before_the_next_begins() -> None:
-    told: list[tuple[str, np.ndarray, int]] = []
+    levels: list[tuple[str, np.ndarray, int]] = []
     steps: list[StepInfo] = []
     latents = sample_hierarchy(
-        LEVELS, noises(1, 2), predictor, SCHEDULE, steps.append, lambda *level: told.append((*level, len(steps)))
+        LEVELS, noises(1, 2), predictor, SCHEDULE, steps.append, lambda *level: levels.append((*level, len(steps)))
     )
-    assert [(level, done) for level, _, done in told] == [("motion", 3), ("action", 5), ("specific", 9)]
-    for (_, latent, _), final in zip(told, latents, strict=True):
+    assert [(level, done) for level, _, done in levels] == [("motion", 3), ("action", 5), ("specific", 9)]
+    for (_, latent, _), final in zip(levels, latents, strict=True):
         np.testing.assert_array_equal(latent, final)
 
 
@@ -90,8 +90,8 @@ def test_the_loop_is_the_update_rule_repeated() -> None:
         noise = np.tanh(expected + np.float32(0.01 * step))
         clean = (expected - np.sqrt(1 - table[time]) * noise) / np.sqrt(table[time])
         expected = (np.sqrt(table[after]) * clean + np.sqrt(1 - table[after]) * noise).astype(np.float32)
-    (found,) = sample_hierarchy([level], [noise_of_level], predictor, SCHEDULE)
-    np.testing.assert_allclose(found, expected, atol=2e-5)
+    (sampled,) = sample_hierarchy([level], [noise_of_level], predictor, SCHEDULE)
+    np.testing.assert_allclose(sampled, expected, atol=2e-5)
 
 
 def test_a_sample_is_the_same_alone_and_among_neighbours() -> None:

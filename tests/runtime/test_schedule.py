@@ -91,9 +91,9 @@ def test_a_step_predicts_the_clean_latent_and_noises_it_again(spacing: str, step
         alpha, alpha_after = table[time], table[after] if after >= 0 else table[0]
         clean = (latent - (1 - alpha) ** 0.5 * noise) / alpha**0.5
         expected = alpha_after**0.5 * clean + (1 - alpha_after) ** 0.5 * noise
-        found = ddim_step(latent, noise, coefficients, number)
-        assert found.dtype == np.float32
-        np.testing.assert_allclose(found, expected, atol=2e-5)
+        denoised = ddim_step(latent, noise, coefficients, number)
+        assert denoised.dtype == np.float32
+        np.testing.assert_allclose(denoised, expected, atol=2e-5)
 
 
 def test_a_perfect_prediction_leads_to_the_clean_latent() -> None:

@@ -32,13 +32,13 @@ def test_the_wheel_is_typed(wheel: zipfile.ZipFile) -> None:
 
 def test_the_wheel_carries_the_runtime_as_it_stands(wheel: zipfile.ZipFile) -> None:
     folder = ROOT / "runtime" / "kinegraph"
-    own = {
+    sources = {
         f"kinegraph/{path.relative_to(folder).as_posix()}"
         for path in folder.rglob("*")
         if path.is_file() and "__pycache__" not in path.parts
     }
     packed = {name for name in wheel.namelist() if name.startswith("kinegraph/")}
-    assert packed == own
+    assert packed == sources
     tops = {name.split("/")[0] for name in wheel.namelist()}
     assert {top for top in tops if not top.endswith(".dist-info")} == {
         "kinegraph",
@@ -49,9 +49,9 @@ def test_the_wheel_carries_the_runtime_as_it_stands(wheel: zipfile.ZipFile) -> N
 
 def test_pyinstaller_finds_the_hook_of_the_wheel(wheel: zipfile.ZipFile) -> None:
     (listed,) = (name for name in wheel.namelist() if name.endswith(".dist-info/entry_points.txt"))
-    found = configparser.ConfigParser()
-    found.read_string(wheel.read(listed).decode())
-    module, function = found["pyinstaller40"]["hook-dirs"].split(":")
+    entry_points = configparser.ConfigParser()
+    entry_points.read_string(wheel.read(listed).decode())
+    module, function = entry_points["pyinstaller40"]["hook-dirs"].split(":")
     (folder,) = getattr(importlib.import_module(module), function)()
     hook = (Path(folder) / "hook-kinegraph.py").read_text(encoding="utf-8")
     assert "kinegraph/_pyinstaller/hook-kinegraph.py" in wheel.namelist()
