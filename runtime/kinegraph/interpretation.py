@@ -21,7 +21,7 @@ from typing import Final
 from kinegraph.errors import InvalidGraphError
 from kinegraph.graph import Action, Argument, SemanticGraph
 from kinegraph.text import lexicon
-from kinegraph.text.narration import subject_items, subject_of, verb_items
+from kinegraph.text.narration import name_subject, subject_items, subject_of, verb_items
 from kinegraph.text.pieces import CONNECTIVES, NEGATING, Item, Pieces, unique, write
 from kinegraph.text.quantities import Quantity
 from kinegraph.text.sequences import in_third_person, split_sequence
@@ -149,7 +149,8 @@ def _told_alone(pieces: Pieces, action: Action) -> SemanticGraph:
     if subject is not None:
         arguments.append(subject)
     alone = replace(action, negated=False, arguments=tuple(sorted(arguments, key=lambda argument: argument.start)))
-    return write(pieces, [alone], unique(items))
+    told = write(pieces, [alone], unique(items))
+    return name_subject(told) if subject is None else told
 
 
 # Other words

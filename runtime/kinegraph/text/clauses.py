@@ -46,7 +46,7 @@ ORDINALS: Final = frozenset("second secondly third thirdly fourth fifth sixth la
 _DETERMINERS: Final = frozenset("a an the this that my your his her our their its one".split())
 _PHRASE_WORDS: Final = frozenset("both all two three each every no some left right other of the his her their".split())
 _RELATIVE: Final = frozenset("who which that".split())
-_OPENERS: Final = frozenset("and or but then who which that he she it they also".split())
+_OPENERS: Final = frozenset("and or but then nor neither who which that he she it they also".split())
 _PLURAL_ACTORS: Final = frozenset("we they people you both everyone".split()) | frozenset("men women".split())
 _OBJECT_PRONOUNS: Final = frozenset("it them him her me us both".split())
 _PREPOSITIONS: Final = (
@@ -123,6 +123,8 @@ def _find_in_sentence(
             mood = Form.PARTICIPLE
             if _word(lower, index - 1) in ("and", "then"):  # spaCy finds the others by itself
                 forms[index] = mood
+        elif is_first and lower[index] in lexicon.FINITE_VERBS and _begins_predicate(_word(lower, index + 1)):
+            forms[index] = mood = Form.THIRD
         elif mood is not Form.BASE:
             verb = _verb_behind_subject(lower, index, is_first, is_told)
             if verb is not None:
@@ -194,6 +196,11 @@ def _is_order(word: str, following: str, is_dictionary_verb: Callable[[str], boo
 # Sentences
 
 
+def _begins_predicate(following: str) -> bool:
+    """Tell by the word behind a verb that begins a sentence whether it is one ("kneels down", not "two jumps")."""
+    return following in _OBJECT_FOLLOWERS or following in _PREPOSITIONS - {"of", "with"} or following.endswith("ly")
+
+
 def _finite_verbs(lower: Sequence[str]) -> list[Form]:
     """Find the verbs of motion in the third person that are no plural nouns, by the word before them."""
     forms: list[Form] = []
@@ -209,7 +216,7 @@ def _opens_predicate(lower: Sequence[str], forms: Sequence[Form], index: int) ->
     if before in (",", "and", "or"):
         # A list of nouns continues as one: "with jumps and kicks"
         listed = lower[index - 2] if index > 1 else ""
-        return not (listed in lexicon.FINITE_VERBS and forms[index - 2] is Form.NONE)
+        return listed == "steps" or not (listed in lexicon.FINITE_VERBS and forms[index - 2] is Form.NONE)
     if before in lexicon.SUBJECT_NOUNS or before in _OPENERS:
         return True
     if index > 1 and forms[index - 1] is Form.THIRD and lower[index - 2] in _RELATIVE:  # "who bows | walks"

@@ -154,7 +154,8 @@ IRREGULAR_FORMS: Final = {
     "held": "hold", "kept": "keep", "made": "make", "did": "do", "done": "do", "got": "get", "came": "come",
     "gave": "give", "given": "give", "left": "leave", "crept": "creep", "slid": "slide", "struck": "strike",
     "swam": "swim", "dove": "dive", "drew": "draw", "shook": "shake", "shaken": "shake", "strode": "stride",
-    "was": "be", "were": "be", "are": "be", "am": "be", "been": "be", "had": "have", "brought": "bring", "worn": "wear", "hung": "hang",
+    "was": "be", "were": "be", "are": "be", "am": "be", "been": "be", "had": "have", "brought": "bring",
+    "worn": "wear", "hung": "hang",
 }  # fmt: skip
 """Irregular past forms of verbs of motion, with their base form."""
 PAST_PARTICIPLES: Final = frozenset(

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 from typing import Final
 
 from kinegraph.errors import InvalidGraphError
 from kinegraph.graph import Action, Argument, SemanticGraph
+from kinegraph.limits import MAX_NODES
 from kinegraph.text import lexicon
 from kinegraph.text.pieces import NEGATING, SEQUENCE_WORDS, Item, Pieces
 
@@ -29,6 +31,7 @@ def subject_of(graph: SemanticGraph, action: Action) -> Argument | None:
     """Find the argument that tells who moves: ARG0, or ARG1 before the verb or where it is who does something else."""
     candidates = [argument for argument in action.arguments if argument.role in ("ARG0", "ARG1")]
     candidates = [argument for argument in candidates if not _NO_SUBJECT.fullmatch(argument.text)]
+    candidates = [argument for argument in candidates if argument.text.lower() not in _NO_ACTORS]
     for argument in sorted(candidates, key=lambda argument: argument.role):
         is_shared = any(
             other.start == argument.start and other.end == argument.end and argument.end <= action_of_other.start
@@ -41,7 +44,8 @@ def subject_of(graph: SemanticGraph, action: Action) -> Argument | None:
     return None
 
 
-_NO_SUBJECT: Final = re.compile(r"who|which|that|by\b.*|to\b.*", re.IGNORECASE | re.DOTALL)
+_NO_ACTORS: Final = lexicon.DIRECTION_ADVERBS | lexicon.NOUN_ADJECTIVES | lexicon.ROTATIONS
+_NO_SUBJECT: Final = re.compile(r"who|which|that|nobody|no one|by\b.*|to\b.*|.*clock-?wise", re.IGNORECASE | re.DOTALL)
 
 
 def subject_items(pieces: Pieces, subject: Argument | None) -> list[Item]:
@@ -56,6 +60,27 @@ def subject_items(pieces: Pieces, subject: Argument | None) -> list[Item]:
     if len(own) == 1:
         return [Item(OBJECT_FORMS.get(pieces.word(own[0]), pieces.pieces[own[0]].text), own[0])]
     return pieces.items(own)
+
+
+def name_subject(graph: SemanticGraph) -> SemanticGraph:
+    """Make "a person" at the start of a caption an argument of the actions that have no other subject.
+
+    Participles keep none, as in "a person walks while waving"; nor do actions for which the graph has no room.
+    """
+    actions = []
+    room = MAX_NODES - graph.node_count
+    for action in graph.actions:
+        word = action.text.lower()
+        if room > 0 and form(word) != "participle" and subject_of(graph, action) is None:
+            undergoes = lexicon.FINITE_VERBS.get(word, word) in lexicon.UNACCUSATIVE
+            has_object = any(argument.role == "ARG1" for argument in action.arguments)
+            role = "ARG1" if undergoes and not has_object else "ARG0"
+            subject = Argument(role, graph.caption[: len(SUBJECT)], 0, len(SUBJECT))
+            actions.append(replace(action, arguments=(subject, *action.arguments)))
+            room -= 1
+        else:
+            actions.append(action)
+    return SemanticGraph(graph.caption, tuple(actions))
 
 
 def verb_items(pieces: Pieces, action: Action, text: str | None = None) -> list[Item]:
@@ -169,4 +194,6 @@ def is_state(pieces: Pieces, action: Action) -> bool:
 def is_singular(pieces: Pieces, subject: Argument) -> bool:
     """Tell whether who moves is one person or part of the body."""
     words = [pieces.word(index) for index in pieces.of(subject)]
-    return not (_PLURALS & set(words) or "and" in words or (words and words[-1] in lexicon.BODY_PLURALS))
+    last = words[-1] if words else ""
+    is_plural = last in lexicon.BODY_PLURALS or (last.endswith("s") and not last.endswith(("ss", "us", "'s", "’s")))
+    return not (is_plural or _PLURALS & set(words) or "and" in words)

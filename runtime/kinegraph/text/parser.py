@@ -28,7 +28,7 @@ from kinegraph.text import lexicon
 from kinegraph.text.argument_classifier import ArgumentCandidates, ArgumentClassifier, argument_candidates
 from kinegraph.text.dependency import DependencyParse, DependencyParser, Span, has_word
 from kinegraph.text.negation import mark_negations, negated_events
-from kinegraph.text.quantities import iterate_adverbial
+from kinegraph.text.quantities import MAY_HOLD_QUANTITY, iterate_adverbial
 from kinegraph.text.rules import (
     CONTENT_POS,
     PredicateFrame,
@@ -67,7 +67,8 @@ class GraphParser:
         check_caption(caption)
         parse = self.parse_dependencies(caption)
         frames = predicate_frames(parse)
-        add_quantities(caption, parse, frames)
+        if MAY_HOLD_QUANTITY.search(caption):
+            add_quantities(caption, parse, frames)
         if self._classifier is not None:
             for frame, candidates in zip(frames, frame_candidates(parse, frames), strict=True):
                 if frame.head.i not in parse.states:
@@ -134,13 +135,18 @@ def check_caption(caption: object) -> None:
 def predicate_frames(parse: DependencyParse) -> list[PredicateFrame]:
     """Find the actions of a caption, at least one, with their arguments by the rules."""
     verbs = parse.clause_verbs | parse.states
-    heads = [token for token in parse.doc if token.i in verbs or is_action(token)]
+    heads = [token for token in parse.doc if token.i in verbs or (is_action(token) and not _is_held(parse, token))]
     events = [token for token in negated_events(parse.doc) if token not in heads]
     frames = [build_frame(token) for token in sorted(heads + events, key=lambda token: token.i)]
     for frame in frames:
         if frame.head.i in parse.states:
             frame.arguments = [(state_role(role, frame), span) for role, span in frame.arguments]
     return frames or [build_frame(token) for token in fallback_heads(parse.doc)]
+
+
+def _is_held(parse: DependencyParse, token: Any) -> bool:
+    """Tell whether a token is a part of the body in a phrase without a verb ("elbows | out"), taken for a verb."""
+    return bool(parse.states) and parse.tokens.text[token.i] in lexicon.BODY_NOUNS
 
 
 def add_quantities(caption: str, parse: DependencyParse, frames: list[PredicateFrame]) -> None:
@@ -150,7 +156,8 @@ def add_quantities(caption: str, parse: DependencyParse, frames: list[PredicateF
         if not inside:
             continue
         span = inside[0], inside[-1]
-        frame = _nearest_frame(parse.doc[span[1]], frames)
+        before = [frame for frame in frames if frame.head.i < span[0]]
+        frame = before[-1] if before else _nearest_frame(parse.doc[span[1]], frames)
         if frame.head.i in inside:
             continue
         frame.arguments = [(role, other) for role, other in frame.arguments if other[1] < span[0] or span[1] < other[0]]

@@ -29,6 +29,7 @@ SEQUENCE_WORDS: Final = frozenset(
     " subsequently thereafter".split()
 )
 """Words that tell the place of an action in a sequence."""
+AFTER_THAT: Final = (frozenset(("after", "that")), frozenset(("after", "this")))
 RELATIVE: Final = frozenset("who which that whose".split())
 """Words that open a relative clause."""
 STOPS: Final = frozenset(". ; ! ? | → >".split())

@@ -17,12 +17,14 @@ from kinegraph.text.narration import (
     is_noun,
     is_singular,
     is_state,
+    name_subject,
     subject_items,
     subject_of,
     third_person,
     word_before,
 )
 from kinegraph.text.pieces import (
+    AFTER_THAT,
     CONNECTIVES,
     NEGATING,
     RELATIVE,
@@ -84,7 +86,7 @@ def in_third_person(graph: SemanticGraph) -> SemanticGraph:
         InvalidGraphError: the caption becomes longer than allowed.
     """
     pieces = Pieces(graph)
-    if all(_is_told(pieces, action) for action in graph.actions):
+    if all(_is_told(pieces, group[0]) for group in _group_actions(pieces)):
         return graph
     parts = split_sequence(graph)
     sentence = parts[0]
@@ -124,7 +126,12 @@ def _is_told(pieces: Pieces, action: Action) -> bool:
     """Tell whether an action needs no other form: it has a subject, it is a noun of a title, or it is no verb."""
     subject = subject_of(pieces.graph, action)
     if subject is not None:
-        return not {pieces.word(index) for index in pieces.of(subject)} & READERS
+        own = pieces.of(action)
+        is_base = action.text.lower() in lexicon.VERBS and is_singular(pieces, subject)
+        is_led = bool(own) and word_before(pieces, own[0]) in _NO_FORM_BEHIND
+        return (is_led or not is_base or is_state(pieces, action)) and not {
+            pieces.word(index) for index in pieces.of(subject)
+        } & READERS
     return is_noun(pieces, action) or third_person(action.text) == action.text.lower() not in lexicon.FINITE_VERBS
 
 
@@ -190,7 +197,7 @@ def _junction(pieces: Pieces, before: Action, action: Action) -> list[str]:
         for other in pieces.graph.actions
         for argument in other.arguments
         for index in pieces.of(argument)
-        if not {pieces.word(index) for index in pieces.of(argument)} <= SEQUENCE_WORDS
+        if not _orders(pieces, argument)
     }
     words = [pieces.word(index) for index in range(first, last) if index not in covered]
     gaps = [pieces.graph.caption[pieces.pieces[i].end : pieces.pieces[i + 1].start] for i in range(first - 1, last)]
@@ -202,12 +209,13 @@ def _is_parted(
 ) -> tuple[bool, bool]:
     """Tell whether an action follows the one before it, and whether the two are items of a list."""
     words = set(junction)
+    is_after_that = any(phrase <= words for phrase in AFTER_THAT)
+    if is_after_that or words & SEQUENCE_WORDS or any(word.isdecimal() for word in junction):
+        return True, False
     own = pieces.of(action)
     relatives = [word_before(pieces, node[0]) in RELATIVE for node in (own, pieces.of(before)) if len(node)]
     if any(relatives) or (action.negated and not words) or (words & _AT_ONCE and not words & STOPS):
         return False, False
-    if words & SEQUENCE_WORDS or any(word.isdecimal() for word in junction) or {"after", "that"} <= words:
-        return True, False
     if words & (STOPS | {"\n", ":"}) or (")" in words and "(" not in words):
         return not _is_description(pieces, action), False
     same_form = form(before.text) == form(action.text) != "participle"
@@ -247,7 +255,8 @@ def _part(pieces: Pieces, group: Sequence[Action], groups: Sequence[Sequence[Act
         else:
             text = _TOLD_WORDS.get(text.lower(), text)
         items.append(Item(text, index))
-    return write(pieces, actions, items)
+    part = write(pieces, actions, items)
+    return name_subject(part) if items[:1] == [Item(SUBJECT)] else part
 
 
 _AUXILIARIES: Final = {"do": "does", "don't": "doesn't", "dont": "doesn't"}
@@ -270,9 +279,15 @@ def _own_action(pieces: Pieces, action: Action, foreign: set[int]) -> Action:
     arguments = []
     for argument in action.arguments:
         own = pieces.of(argument)
-        if foreign.isdisjoint(own) and not {pieces.word(index) for index in own} <= SEQUENCE_WORDS:
+        if foreign.isdisjoint(own) and not _orders(pieces, argument):
             arguments.append(argument)
     return replace(action, arguments=tuple(arguments))
+
+
+def _orders(pieces: Pieces, argument: Argument) -> bool:
+    """Tell whether an argument does nothing but tell the place of its action in a sequence ("then", "after that")."""
+    words = {pieces.word(index) for index in pieces.of(argument)}
+    return words <= SEQUENCE_WORDS or words in AFTER_THAT
 
 
 def _other_words(pieces: Pieces, group: Sequence[Action], groups: Sequence[Sequence[Action]]) -> set[int]:
@@ -324,6 +339,7 @@ def _own_words(pieces: Pieces, actions: Sequence[Action], others: set[int], fore
     """List the words of a part: those of its nodes, those of none between them, auxiliaries and particles."""
     owned = {index for action in actions for index in pieces.of_action(action)}
     owned.update(_particles_behind(pieces, max(owned, default=0) + 1, others | foreign))
+    heads = {index for action in actions for index in pieces.of(action)}
     found = set(owned)
     ordered = sorted(owned)
     for first, last in zip([-1, *ordered], ordered, strict=False):
@@ -335,6 +351,8 @@ def _own_words(pieces: Pieces, actions: Sequence[Action], others: set[int], fore
             word = pieces.word(index)
             if index in others or index in foreign or word not in _LEADING | SEQUENCE_WORDS | {",", "."}:
                 break
+            if word in _QUESTIONING and last not in heads and pieces.word(last) not in ("not", "n't", "nt"):
+                break  # "could | the man turn"
             if word not in SEQUENCE_WORDS:
                 found.add(index)
     return sorted(found)
@@ -350,6 +368,10 @@ def _particles_behind(pieces: Pieces, index: int, others: set[int]) -> range:
 
 _LEADING: Final = NEGATING | frozenset("to as if because so like been being having while when".split())
 """Words of no node that belong to the words behind them."""
+
+
+_QUESTIONING: Final = frozenset("can could will would should do does did is are".split())
+"""Auxiliaries that open a question."""
 
 
 def _trim(kept: list[int], pieces: Pieces) -> list[int]:
@@ -390,7 +412,8 @@ def _verbs_to_tell(pieces: Pieces, actions: Sequence[Action]) -> set[int]:
     return told
 
 
-_NO_FORM_BEHIND: Final = RELATIVE | BE | (NEGATING - {"never", "while"}) | {"to", "of", "than", "as"}
+_MODALS: Final = frozenset("can ca could will wo would should may might must shall 'll 'd".split())
+_NO_FORM_BEHIND: Final = RELATIVE | BE | _MODALS | (NEGATING - {"never", "while"}) | {"to", "of", "than", "as"}
 """Words behind which a verb keeps its form."""
 
 
@@ -403,4 +426,4 @@ def _is_main(pieces: Pieces, actions: Sequence[Action]) -> bool:
     if form(first.text) == "participle":
         # "moving slowly, a man walks": the main verb comes behind who moves
         return not any(first.start < subject.start < other.start and _has(other, subject) for other in actions[1:])
-    return is_singular(pieces, subject)
+    return first.text.lower() in lexicon.VERBS and is_singular(pieces, subject)
