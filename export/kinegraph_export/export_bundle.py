@@ -118,8 +118,13 @@ def encode_tables(tables: dict[str, FloatArray]) -> bytes:
 
 
 def encode_vocabulary(run: Path, assets: Path) -> dict[str, bytes]:
-    """Build vocabulary.npz of the captions that the run was trained on; none if they are too few or not stored."""
+    """Build vocabulary.npz of the captions that the run was trained on; none if they are too few or not stored.
+
+    A run that `recover` wrote has the vocabulary of its bundle instead of captions.
+    """
     shown = read_shown_captions(run)
+    if not shown and (run / VOCABULARY).is_file():
+        return {VOCABULARY: (run / VOCABULARY).read_bytes()}
     try:
         return {VOCABULARY: build_vocabulary(shown, CaptionEncoder(assets))} if shown else {}
     except InvalidInputError as error:

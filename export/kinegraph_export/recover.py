@@ -28,6 +28,7 @@ from torch import nn
 
 from kinegraph.bundle.contract import COARSE_DECODERS, LEVELS, OPTIONAL_GRAPHS, GraphContract, contracts
 from kinegraph.bundle.reader import Bundle, read_bundle
+from kinegraph.bundle.vocabulary import FILE as VOCABULARY
 from kinegraph.errors import InvalidInputError
 from kinegraph_export.graphs import TrainedModels, graph_modules, trace_to_onnx
 from kinegraph_export.modules import CoarseDecoderGraph, DecoderGraph
@@ -228,7 +229,7 @@ def coarse_statistics(run: Path, data: Path, held_out: Path | None, preset: Pres
 def recover(
     folder: Path, preset: str, vaes: Path, run: Path, data: Path | None = None, held_out: Path | None = None
 ) -> None:
-    """Write a run as if it had been trained: the three autoencoders, the denoisers, and the statistics of the data.
+    """Write a run as if it had been trained: autoencoders, denoisers, the bundle's tables and its vocabulary.
 
     Args:
         folder: of the bundle.
@@ -259,6 +260,8 @@ def recover(
     state |= {name: torch.from_numpy(value) for name, value in statistics.items()}
     (run / "denoisers").mkdir(parents=True, exist_ok=True)
     torch.save({"hyper_parameters": settings, "state_dict": state}, run / "denoisers" / "last.ckpt")
+    if VOCABULARY in bundle.files:
+        (run / VOCABULARY).write_bytes(bundle.files[VOCABULARY])
     with np.load(io.BytesIO(bundle.files["tables.npz"]), allow_pickle=False) as tables:
         write_tables(run, dict(tables))
 

@@ -38,7 +38,7 @@ from support.toy_run import ASSETS
 from support.tracing import Traces, traced_once
 
 WEIGHTS = Path(__file__).parents[2] / "weights" / "edge"
-pytestmark = pytest.mark.timeout(600)
+pytestmark = [pytest.mark.slow, pytest.mark.timeout(600)]
 
 CARD = BundleCard(
     name="toy",
@@ -175,7 +175,7 @@ def test_an_int8_bundle_is_smaller_and_near(trained: Path, bundle: Path, encoder
         for name, value in first.items():
             # Encoders and the finest decoder come back as float16, coarse decoders as int8 with a scale per column.
             exact = level == LEVELS[-1] or name.split(".")[0] in ENCODER_PARTS
-            assert (value - again[name]).abs().max() <= value.abs().max() / (2000 if exact else 250) + 1e-7, name
+            assert (value - again[name]).abs().max() <= value.abs().max() / (2000 if exact else 220) + 1e-7, name
     own, back = (
         torch.load(run / "denoisers" / "last.ckpt", weights_only=True)["state_dict"]
         for run in (trained / "run", tmp_path / "recovered")
@@ -225,8 +225,11 @@ def test_an_encoder_is_not_completed_by_a_bundle_that_lacks_its_decoder(
     trained: Path, bundle: Path, encoders: Path, tmp_path: Path
 ) -> None:
     known = read_bundle(bundle)
-    bare = replace(known, manifest=replace(known.manifest, files={}))
-    decoder = contracts(known.manifest.levels, known.manifest.text.width, 137)["decoder_motion"]
+    manifest, gone = known.manifest, "decoder_motion.onnx"
+    files = {name: entry for name, entry in manifest.files.items() if name != gone}
+    operators = {name: names for name, names in manifest.operators.items() if name != gone}
+    bare = replace(known, manifest=replace(manifest, files=files, operators=operators))
+    decoder = contracts(manifest.levels, manifest.text.width, 137)["decoder_motion"]
     with pytest.raises(InvalidInputError, match=r"no decoder_motion\.onnx"):
         recover_autoencoder(bare, "motion", encoders / "vae_motion.ckpt", decoder)
     # A whole autoencoder needs none.
