@@ -24,7 +24,10 @@ def browser() -> Iterator[Browser]:
     if program is None:
         pytest.skip("needs a browser: apt-get install chromium")
     with playwright.sync_playwright() as driver:
-        chromium = driver.chromium.launch(executable_path=program, args=FLAGS)
+        try:
+            chromium = driver.chromium.launch(executable_path=program, args=FLAGS)
+        except playwright.Error as error:
+            pytest.skip(f"{program} does not start: {str(error).splitlines()[0]}")
         yield chromium
         chromium.close()
 

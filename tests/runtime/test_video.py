@@ -24,7 +24,10 @@ Image = pytest.importorskip("PIL.Image")
 @pytest.fixture
 def av() -> ModuleType:
     """PyAV, which encodes and decodes video."""
-    return pytest.importorskip("av")
+    module = pytest.importorskip("av")
+    if "libx264" not in module.codecs_available:
+        pytest.skip("this PyAV was built without libx264")
+    return module
 
 
 def clip(joints: np.ndarray, fps: float = 20.0) -> Clip:

@@ -31,6 +31,7 @@ def train_with_two_processes(module: str, folder: Path, *words: str) -> str:
 
 
 @pytest.mark.skipif(not torch.distributed.is_available(), reason="this torch cannot train in several processes")
+@pytest.mark.slow
 def test_two_processes_train_every_stage(tmp_path: Path) -> None:
     write_walks(tmp_path / "data")
     for level in ("motion", "action", "specific"):
