@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import zlib
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
@@ -12,7 +13,7 @@ from kinegraph.bundle.vocabulary import Facts, Phrase, Vocabulary, pack_vocabula
 from kinegraph.graph import Action, SemanticGraph
 from kinegraph.text.words import combinations, split_words, stem
 
-WIDTH = 48
+WIDTH = 1024
 CAPTIONS = {
     "a person walks": "walks",
     "a person walks forward slowly": "walks",
@@ -20,12 +21,14 @@ CAPTIONS = {
     "someone raises the left hand above the head": "raises",
     "a person raises both arms": "raises",
     "a person waves with the right hand": "waves",
+    "a person takes two steps": "takes",
     "the left foot": "foot",
 }
 """Captions of an imagined training, with their verbs."""
 MEANINGS = {"strolls": "walks", "stroll": "walks", "hops": "jumps"}
 """Words that the encoder takes for others."""
-ENGLISH = {*"walk raise wave stroll hop jump juggle robot hat suitcase hand head foot left forward giant sit".split()}  # noqa: SIM905
+_ENGLISH = "walk raise wave stroll hop jump juggle robot hat suitcase hand head foot left forward giant sit take step"
+ENGLISH = frozenset(_ENGLISH.split())
 """Words that the tokenizer knows."""
 
 
@@ -42,7 +45,6 @@ class BagEncoder:
 
     asked: list[list[str]] = field(default_factory=list)
     """Sentences of each run."""
-    _columns: dict[str, int] = field(default_factory=dict)
 
     def is_word(self, word: str) -> bool:
         return word in ENGLISH
@@ -56,8 +58,8 @@ class BagEncoder:
         rows = np.zeros((len(sentences), WIDTH), dtype=np.float32)
         for row, sentence in zip(rows, sentences, strict=True):
             for word in sentence.lower().split():
-                column = self._columns.setdefault(MEANINGS.get(word, word), len(self._columns))
-                row[column % WIDTH] += 0.2 if word in ("a", "person") else 1.0
+                column = zlib.crc32(MEANINGS.get(word, word).encode("utf-8", "replace")) % WIDTH
+                row[column] += 0.2 if word in ("a", "person") else 1.0
         return rows / np.linalg.norm(rows, axis=1, keepdims=True)
 
 

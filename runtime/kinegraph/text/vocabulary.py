@@ -56,8 +56,12 @@ _MIN_CORRECTED: Final = 4
 _MAX_GAP: Final = 3
 """Words of no content that may stand inside an unknown span ("plays [with a] ball")."""
 _PERSON_NOUNS: Final = PERSONS & lexicon.SUBJECT_NOUNS - frozenset("he she it they".split())
-_SIDE: Final = re.compile(r"\b(?:left|right)(?=ward|\b)")
+_SIDE: Final = re.compile(r"\b(?:(?:the )?(?:left|right)(?=ward|\b)|both\b)")
+_LIMB: Final = re.compile(r"\b(?:hand|arm)s?\b")
 _EACH_OTHER: Final = frozenset((("other", "each"), ("another", "one")))
+_JOINING: Final = frozenset("with behind beside alongside near against past toward towards".split())
+"""Prepositions of a person who takes part; one may wave "to somebody" alone."""
+_DETERMINERS: Final = frozenset("a an the his her their my another some this that".split())
 _LIKENESS: Final = frozenset("like as way manner".split())
 """Words before a person who is only compared with ("like old people")."""
 
@@ -140,8 +144,11 @@ class _Finder:
             return word
         if text in PERSON_PLURALS or any(map(self._encoder.is_word, base_forms(text))):
             return word
-        slips = (edit for edit in edits_of(text) if len(edit) >= _MIN_CORRECTED and self._is_shown(edit))
-        return replace(word, text=next(slips, text))
+        for edit in edits_of(text):
+            is_long = len(edit) >= _MIN_CORRECTED
+            if is_long and self._is_shown(edit) and any(map(self._encoder.is_word, base_forms(edit))):
+                return replace(word, text=edit)
+        return word
 
     def _has_content(self) -> bool:
         """Tell whether the caption names anything at all; a hidden word counts."""
@@ -195,13 +202,28 @@ class _Finder:
                 first = index if self._words[index].opens else index - 1
             elif (word in PERSONS and before in ("another", "other")) or (word, before) in _EACH_OTHER:
                 first = index - 1
-            elif (
-                word in _PERSON_NOUNS and index > 2 and words[index - 2] == "and" and words[index - 3] in _PERSON_NOUNS
-            ):
-                first = index - 3  # "a woman and a man"
+            elif word in _PERSON_NOUNS and (joined := self._joined_from(index)) is not None:
+                first = joined
             else:
                 continue
             yield _Span(max(first, 0), index, "people")
+
+    def _joined_from(self, index: int) -> int | None:
+        """Return where a second person begins who is joined to the first ("a | woman and a man", "walks | with a man").
+
+        None for a person at an index who is not.
+        """
+        first = index
+        while first > 0 and not self._words[first].opens:
+            before = self._words[first - 1].text
+            if before == "and" and first > 1 and self._words[first - 2].text in _PERSON_NOUNS:
+                return first - 2
+            if before in _JOINING:
+                return first - 1
+            if before not in _DETERMINERS and first < index:
+                return None
+            first -= 1
+        return None
 
     # Combinations
 
@@ -303,7 +325,7 @@ class _Finder:
         )
 
     def _nearest(self, row: FloatArray) -> tuple[str, ...]:
-        """Name the nearest phrases, each by the wording that is nearest; left and right count as one."""
+        """Name the nearest phrases, each by the wording that is nearest; sides and hands or arms count as one."""
         vocabulary = self._vocabulary
         nearest: list[str] = []
         shown: set[int | str] = set()
@@ -311,7 +333,7 @@ class _Finder:
             if row[index] < vocabulary.facts.near or len(nearest) == NEAREST:
                 break
             wording, phrase = vocabulary.wordings[index], int(vocabulary.wording_phrases[index])
-            either_side = _SIDE.sub("side", wording)
+            either_side = _LIMB.sub("hand", _SIDE.sub("side", wording))
             if shown.isdisjoint((phrase, either_side)):
                 nearest.append(wording)
             shown |= {phrase, either_side}
