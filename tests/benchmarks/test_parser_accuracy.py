@@ -11,8 +11,8 @@ import pytest
 pytest.importorskip("torch")
 pytest.importorskip("spacy")
 
-from kinegraph.graph import ARGUMENT_ROLES
-from kinegraph_benchmarks.quality.parser_accuracy import HARD, assign_folds
+from kinegraph.graph import ARGUMENT_ROLES, Action, SemanticGraph
+from kinegraph_benchmarks.quality.parser_accuracy import HALVES, HARD, assign_folds, count_negations, score_by_kind
 
 
 def rows(half: str) -> list[dict]:
@@ -20,7 +20,7 @@ def rows(half: str) -> list[dict]:
     return [json.loads(line) for line in path.read_text(encoding="utf-8").splitlines()]
 
 
-@pytest.mark.parametrize("half", ["dev", "held_out"])
+@pytest.mark.parametrize("half", ["dev", "held_out", "2_dev", "2_held_out"])
 def test_offsets_and_roles_of_the_harder_sentences_hold(half: str) -> None:
     for row in rows(half):
         assert row["checked"] is True
@@ -32,10 +32,42 @@ def test_offsets_and_roles_of_the_harder_sentences_hold(half: str) -> None:
                 assert {part["role"], *part.get("also", ())} <= set(ARGUMENT_ROLES)
 
 
-def test_the_halves_share_no_sentence() -> None:
-    dev, held_out = ({row["caption"] for row in rows(half)} for half in ("dev", "held_out"))
+@pytest.mark.parametrize("number", ["", "2_"])
+def test_the_halves_share_no_sentence(number: str) -> None:
+    dev, held_out = ({row["caption"] for row in rows(f"{number}{half}")} for half in ("dev", "held_out"))
     assert min(len(dev), len(held_out)) >= 30
     assert not dev & held_out
+
+
+def test_every_half_is_measured() -> None:
+    assert {half.path for half in HALVES} == set(HARD.glob("*.jsonl"))
+    assert {half.is_dev for half in HALVES if half.is_typed} == {True, False}
+
+
+def test_kinds_and_negations_are_counted(tmp_path: Path) -> None:
+    file = tmp_path / "typed.jsonl"
+    sentences = {"he walks": "order", "do not run": "negation", "never jump": "negation"}
+    file.write_text(
+        "\n".join(
+            json.dumps(
+                {"caption": caption, "kind": kind, "actions": [{"start": 3, "end": 6, "negated": kind != "order"}]}
+            )
+            for caption, kind in sentences.items()
+        )
+    )
+    scorer = SimpleNamespace(score=lambda gold, graphs: [caption for caption, *_ in gold if caption in graphs])
+    gold = [(caption, None, None) for caption in sentences]
+    kinds = score_by_kind(file, gold, {"he walks": 0, "do not run": 0}, scorer)  # type: ignore[arg-type]
+    assert kinds == {"order": ["he walks"], "negation": ["do not run"]}
+
+    class Parser:
+        """Marks the same characters of every caption but one as negated."""
+
+        def parse(self, caption: str) -> SemanticGraph:
+            negated = caption != "never jump"
+            return SemanticGraph(caption, (Action(caption[3:6], 3, 6, 0, negated=negated),))
+
+    assert count_negations(Parser(), file) == {"marked": 1, "missed": 1, "in vain": 1}  # type: ignore[arg-type]
 
 
 def test_captions_alike_but_for_case_are_in_one_fold() -> None:

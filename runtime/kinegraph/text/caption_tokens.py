@@ -99,7 +99,7 @@ def _spell(tokens: Sequence[CaptionToken], index: int) -> str:
     text = tokens[index].text
     word = text.lower()
     following = tokens[index + 1].text.lower() if index + 1 < len(tokens) else ""
-    if word in ("&", "+"):
+    if word in ("&", "+", "n", "'n", "n'"):
         return "and" if index and following[:1].isalnum() and tokens[index - 1].text[-1].isalnum() else text
     if word in ("w", "w/", "w."):
         return "with" if following[:1].isalpha() and index else text

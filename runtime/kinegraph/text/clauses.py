@@ -86,12 +86,15 @@ _PLACE_OPENERS: Final = frozenset("on in at under behind near beside between aga
 """Prepositions that may begin a phrase without a verb ("on one leg")."""
 
 
-def find_clause_verbs(lower: Sequence[str], is_told: bool, is_dictionary_verb: Callable[[str], bool]) -> list[Form]:
+def find_clause_verbs(
+    lower: Sequence[str], is_told: bool, is_step: bool, is_dictionary_verb: Callable[[str], bool]
+) -> list[Form]:
     """Find the verb of each clause that its wording tells.
 
     Args:
         lower: words of one or more sentences, lower case.
         is_told: whether they begin with who is told to move ("make | him jump").
+        is_step: whether they are one of several steps, so that a verb in the third person may stand alone.
         is_dictionary_verb: tells whether a word is the base form of any English verb.
     """
     forms = _finite_verbs(lower)
@@ -99,7 +102,7 @@ def find_clause_verbs(lower: Sequence[str], is_told: bool, is_dictionary_verb: C
     for start, end in pairwise(bounds):
         sentence = lower[start:end]
         found = forms[start:end]
-        mood = _find_in_sentence(sentence, found, is_told, is_dictionary_verb)
+        mood = _find_in_sentence(sentence, found, is_told, is_step, is_dictionary_verb)
         _find_run_on_verbs(sentence, found, mood)
         if all(form is Form.NONE for form in found):
             _find_states(sentence, found)
@@ -108,7 +111,7 @@ def find_clause_verbs(lower: Sequence[str], is_told: bool, is_dictionary_verb: C
 
 
 def _find_in_sentence(
-    lower: Sequence[str], forms: list[Form], is_told: bool, is_dictionary_verb: Callable[[str], bool]
+    lower: Sequence[str], forms: list[Form], is_told: bool, is_step: bool, is_dictionary_verb: Callable[[str], bool]
 ) -> Form:
     """Set the forms of one sentence's clause verbs: orders, titles and subjects with a verb; returns its mood."""
     mood = Form.NONE
@@ -123,7 +126,11 @@ def _find_in_sentence(
             mood = Form.PARTICIPLE
             if _word(lower, index - 1) in ("and", "then"):  # spaCy finds the others by itself
                 forms[index] = mood
-        elif is_first and lower[index] in lexicon.FINITE_VERBS and _begins_predicate(_word(lower, index + 1)):
+        elif (
+            is_first
+            and lower[index] in lexicon.FINITE_VERBS
+            and (is_step or _begins_predicate(_word(lower, index + 1)))
+        ):
             forms[index] = mood = Form.THIRD
         elif mood is not Form.BASE:
             verb = _verb_behind_subject(lower, index, is_first, is_told)

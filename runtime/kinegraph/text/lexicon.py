@@ -168,7 +168,7 @@ CONFUSED: Final = {"waive": "wave", "waives": "waves", "waiving": "waving", "qua
 
 ABBREVIATIONS: Final = {
     "w/o": "without", "fwd": "forward", "bwd": "backward", "bkwd": "backward", "thru": "through", "pls": "please",
-    "plz": "please", "thx": "thanks", "ppl": "people", "sec": "second", "secs": "seconds",
+    "plz": "please", "thx": "thanks", "ppl": "people", "sec": "second", "secs": "seconds", "ur": "your", "yr": "your",
 }  # fmt: skip
 """Short forms of words, with the words that they stand for."""
 

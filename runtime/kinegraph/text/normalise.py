@@ -93,7 +93,9 @@ def normalise_tokens(
     begins = [False] * len(tokens)
     for start, end in _sentences(tokens, lower, dictionary):
         sentence = _Sentence(lower[start:end], surrogates[start:end], [None] * (end - start), [])
-        sentence.forms = find_clause_verbs(sentence.lower, tokens[start].is_told, dictionary.is_verb)
+        sentence.forms = find_clause_verbs(
+            sentence.lower, tokens[start].is_told, start > 0 or end < len(tokens), dictionary.is_verb
+        )
         for index in verbs_at:
             if start <= index < end:
                 sentence.forms[index - start] = Form.THIRD
@@ -117,7 +119,7 @@ def _sentences(tokens: Sequence[CaptionToken], lower: Sequence[str], dictionary:
             starts.add(index)
         elif token.begins_line:
             line = lower[index : index + 8]
-            if any(form is not Form.NONE for form in find_clause_verbs(line, False, dictionary.is_verb)[:1]):
+            if any(form is not Form.NONE for form in find_clause_verbs(line, False, True, dictionary.is_verb)[:1]):
                 starts.add(index)
     return list(pairwise(sorted(starts)))
 
