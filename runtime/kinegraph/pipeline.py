@@ -239,7 +239,7 @@ class MotionPipeline:
         graph = self.as_graph(text)
         unknown = self.find_unknown(graph, strict=strict)
         # 3. Text encoder and graph attention (Eq. 1-3); the sentence may tell the length
-        encoded = self._encode_sentence(graph, options, own_length=seconds is None)
+        encoded = self._encode_sentence(graph, options, own_length=seconds is None, is_known=not unknown)
         # 4. Motion -> action -> specific latent; 5. latents -> features -> joints -> clip
         return replace(self._make_clip(encoded, options.seed, on_step, on_level), unknown=unknown)
 
@@ -313,8 +313,8 @@ class MotionPipeline:
         graphs = [self.as_graph(text) for text in texts]
         unknown = self._unknown_of_each(graphs, strict)
         sentences = [
-            self._encode_sentence(graph, option, own_length=length is None, in_order=not shared_run)
-            for graph, option, length in zip(graphs, options, lengths, strict=True)
+            self._encode_sentence(graph, option, own_length=length is None, is_known=not words, in_order=not shared_run)
+            for graph, option, length, words in zip(graphs, options, lengths, unknown, strict=True)
         ]
         if shared_run:
             clips = self._make_together(sentences, seeds, takes, on_step)
@@ -359,7 +359,7 @@ class MotionPipeline:
         unknown = self.find_unknown(*graphs, strict=strict)
         seeds = batch_seeds(options[0].seed, len(texts), takes=1, most=MAX_PARTS)
         sentences = [
-            self._encode_sentence(graph, option, own_length=length is None)
+            self._encode_sentence(graph, option, own_length=length is None, is_known=not self.find_unknown(graph))
             for graph, option, length in zip(graphs, options, lengths, strict=True)
         ]
         notes = tuple(dict.fromkeys(note for sentence in sentences for note in sentence.notes))
@@ -470,28 +470,35 @@ class MotionPipeline:
             options = self.encoder.with_length(options, [features[index] for index in plan.length_from])
         return features, options
 
-    def _encode_part(self, graph: SemanticGraph, options: GenerateOptions, *, own_length: bool) -> _EncodedPart:
-        """Interpret and encode a graph that is sampled at once."""
+    def _encode_part(
+        self, graph: SemanticGraph, options: GenerateOptions, *, own_length: bool, is_known: bool
+    ) -> _EncodedPart:
+        """Interpret and encode a graph that is sampled at once.
+
+        The length of what is not known is a guess, and at most the default length.
+        """
         request = interpret(graph, self.manifest, None if own_length else options.seconds)
         if request.wanted == STANDING and self.find_unknown(STANDING):
             request = replace(request, negated=(), notes=(*request.notes, NEVER_STOOD))
         if request.seconds is not None:
             options = with_seconds(options, self.manifest, request.seconds)
         plan = request.plan
-        features, options = self._encode(plan, options, own_length=own_length and request.seconds is None)
-        return _EncodedPart(self.encoder, graph, plan, features, options, request.notes, request.is_timed)
+        features, sized = self._encode(plan, options, own_length=own_length and request.seconds is None)
+        if not is_known and sized.frames > options.frames:
+            sized = options
+        return _EncodedPart(self.encoder, graph, plan, features, sized, request.notes, request.is_timed)
 
     def _encode_sentence(
-        self, graph: SemanticGraph, options: GenerateOptions, *, own_length: bool, in_order: bool = True
+        self, graph: SemanticGraph, options: GenerateOptions, *, own_length: bool, is_known: bool, in_order: bool = True
     ) -> _EncodedSentence:
         """Interpret and encode a sentence, whole or in parts that follow one another."""
-        whole = self._encode_part(graph, options, own_length=own_length)
+        whole = self._encode_part(graph, options, own_length=own_length, is_known=is_known)
         graphs = [graph]
         if in_order:
             graphs = split_in_order(graph, whole.options, self.manifest, is_timed=whole.is_timed)
         if len(graphs) == 1:
             return _EncodedSentence(graph, (whole,))
-        parts = [self._encode_part(part, options, own_length=True) for part in graphs]
+        parts = [self._encode_part(part, options, own_length=True, is_known=is_known) for part in graphs]
         is_free = own_length and whole.is_timed  # the lengths in words are those of the parts
         total = sum(part.options.frames for part in parts) if is_free else whole.options.frames
         shares = share_frames(total, [part.options for part in parts], self.manifest)
