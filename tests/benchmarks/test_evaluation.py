@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from kinegraph.bundle.reader import DEFAULT_BUNDLE
 from kinegraph.motion.skeleton import bone_lengths
 from kinegraph_benchmarks.common.caption_claims import Claim, count_steps, hand_height, parse_claims
 from kinegraph_benchmarks.common.label_classifier import LabelClassifier
@@ -153,11 +152,10 @@ def test_a_take_holds_captions_of_every_kind_and_all_takes_hold_all() -> None:
     assert captions_for_take(clips, 3) == takes[0], "takes of one caption are told apart for multimodality"
 
 
-@pytest.mark.skipif(not (DEFAULT_BUNDLE / "manifest.json").is_file(), reason="no default bundle")
-def test_a_bundle_with_another_spacing_makes_other_clips_and_has_a_cache_of_its_own() -> None:
+def test_a_bundle_with_another_spacing_makes_other_clips_and_has_a_cache_of_its_own(toy_bundle: Path) -> None:
     pytest.importorskip("spacy")
-    shipped, trailing = BundleModel(None), BundleModel(None, spacing="trailing")
-    same = BundleModel(None, spacing="leading", base="empty")
+    shipped, trailing = BundleModel(toy_bundle), BundleModel(toy_bundle, spacing="trailing")
+    same = BundleModel(toy_bundle, spacing="leading", base="empty")
     assert shipped.stamp == same.stamp != trailing.stamp
     clips = [model.generate("a person walks", seconds=1.0, seed=0).joints for model in (shipped, same, trailing)]
     np.testing.assert_array_equal(clips[0], clips[1])

@@ -51,13 +51,11 @@ COMMANDS = [page for page in PAGES if any(block.marker == "run" for block in blo
 
 
 @pytest.fixture(scope="module")
-def default_pipeline() -> Iterator[MotionPipeline]:
+def default_pipeline(pipe: MotionPipeline) -> Iterator[MotionPipeline]:
     """The default bundle, which all programs share: loading it is not what they are about."""
-    pytest.importorskip("spacy")
-    pipeline = MotionPipeline.load()
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(MotionPipeline, "load", lambda *_, **__: pipeline)
-        yield pipeline
+        patch.setattr(MotionPipeline, "load", lambda *_, **__: pipe)
+        yield pipe
 
 
 @pytest.mark.parametrize("page", PROGRAMS)
