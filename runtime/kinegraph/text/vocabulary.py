@@ -315,14 +315,13 @@ class _Finder:
         return all(index == span.first or self._is_known(index) for index in self._clause(span))
 
     def _is_verb(self, index: int) -> bool:
-        """Tell whether a word is a verb, or stands for one: "takes a stroll"."""
-        if self._words[index].start in self._verbs:
-            return True
-        return (
-            index > 1
-            and self._words[index - 1].text in ("a", "an")
-            and stem(self._words[index - 2].text) in LIGHT_VERBS
-        )
+        """Tell whether a word is a verb, or stands for one: "takes a stroll"; what an article precedes is none."""
+        words = [word.text for word in self._words[max(index - 2, 0) : index + 1]]
+        before = words[-2] if len(words) > 1 and not self._words[index].opens else ""
+        if before in ("a", "an") and len(words) == 3:
+            return stem(words[0]) in LIGHT_VERBS
+        is_noun = before in _DETERMINERS or before in _LIKENESS or before in PLACES
+        return self._words[index].start in self._verbs and not is_noun and not words[-1].endswith("ly")
 
     def _nearest(self, row: FloatArray) -> tuple[str, ...]:
         """Name the nearest phrases, each by the wording that is nearest; sides and hands or arms count as one."""
