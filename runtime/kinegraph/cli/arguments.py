@@ -10,8 +10,13 @@ from typing import Final
 from kinegraph.errors import InvalidInputError
 
 KNOWN_PHRASES: Final = (
-    "The default bundle was shown: XX. "
-    "`kinegraph info --words` lists them with a sentence and the number of clips. Other words are told on stderr."
+    "The default bundle knows: raises the left hand, raises both hands, raises the right hand, runs, turns left "
+    "while walking, turns right while walking, waves both hands, waves the right hand, waves the left hand, "
+    "walks, bows, waves goodbye, waves bye-bye, dashes forward, shows the way, walks backward, walks to the left,"
+    " walks to the right; how: energetically, in a normal way, in a youthful way, in a feminine way, in a "
+    "masculine way, in a tired way, like an old person, in a childish way, angrily, like a giant, like a thug, "
+    "timidly, proudly, happily, in a musical way, sadly; and what these make together. Other words are told on "
+    "stderr. `kinegraph info --words` has a sentence and the number of clips of each."
 )
 """End of the help of `generate`; a test compares it with the default bundle, as reading that takes too long."""
 
