@@ -199,3 +199,35 @@ def test_a_clip_is_kept_beside_the_next(open_page: Open, server: PlaygroundClien
     page.get_by_role("button", name="Only this one").click()
     wait_until(page, lambda: page.locator("canvas").get_attribute("data-panes") == "1")
     assert changed(picture_at(page, 0.2), picture_at(page, 0.9)) > 0.001
+
+
+def test_words_that_are_not_known_are_told_under_the_sentence_and_beside_the_clip(
+    open_page: Open, server: PlaygroundClient
+) -> None:
+    page = open_page(server.url)
+    field, told = page.get_by_label("What should the person do?"), page.locator("#told")
+    assert not told.is_visible()
+    field.fill("a person walks and juggles")
+    wait_until(page, told.is_visible)
+    assert told.locator("mark").all_text_contents() == ["juggles"]
+    assert "Not known: juggles; near: “" in told.inner_text()  # in words, not by colour alone
+    assert (
+        page.locator("[role=status]").filter(has=told).count() == 1
+        and field.get_attribute("aria-describedby") == "told"
+    )
+    generate(page, "a person walks and juggles", seconds="1", seed="1", steps="2")
+    assert page.locator(".result .told mark").all_text_contents() == ["juggles"]
+    field.fill("a person walks")
+    wait_until(page, lambda: not told.is_visible())
+    generate(page, "a person walks", seconds="1", seed="1", steps="2")
+    wait_until(page, lambda: not page.locator(".result .told").is_visible())
+
+
+def test_what_replaces_words_is_told_too(open_page: Open, server: PlaygroundClient) -> None:
+    page = open_page(server.url)
+    generate(page, "two men walk", seconds="1", seed="1", steps="2")
+    assert "two men (more than one person)" in page.locator("#told").inner_text()
+    page.get_by_label("Other words for walk").click()
+    page.get_by_label("Other words for walk").fill("kneel")
+    page.get_by_label("Other words for walk").press("Enter")
+    wait_until(page, lambda: "kneel" in page.locator("#told").inner_text())
