@@ -15,7 +15,7 @@ import io
 import zipfile
 import zlib
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, Final
 
 import numpy as np
@@ -82,11 +82,14 @@ class ArgumentClassifier:
 
     def scores(self, features: Sequence[Sequence[str]]) -> FloatArray:
         """Sum the weights of each span's features, unknown ones left out; returns (spans, CLASSES) logits."""
-        rows = [[self._index[name] for name in names if name in self._index] for names in features]
-        flat = np.array([index for row in rows for index in row], dtype=np.int64)
-        owner = np.repeat(np.arange(len(rows)), [len(row) for row in rows])
+        look_up = self._index.get
+        rows = [[index for index in map(look_up, names) if index is not None] for names in features]
         scores = np.zeros((len(rows), CLASSES), dtype=np.float32)
-        np.add.at(scores, owner, self._weights[flat])
+        flat = np.array([index for row in rows for index in row], dtype=np.int64)
+        filled = np.array([number for number, row in enumerate(rows) if row], dtype=np.int64)
+        if len(flat):
+            starts = np.cumsum([0] + [len(rows[number]) for number in filled[:-1]])
+            scores[filled] = np.add.reduceat(self._weights[flat], starts, axis=0)
         return scores
 
     def choose(self, candidates: ArgumentCandidates) -> ArgumentChoice:
@@ -159,15 +162,17 @@ def argument_candidates(
         for first, last in arguments:
             anchors.setdefault((first, last), _span_head(tokens, first, last))
     spans = [(first, last, anchor) for (first, last), anchor in anchors.items()]
-    shared_features = [span_features(tokens, *span) for span in spans]
+    contents = [content_word(tokens, *span) for span in spans]
+    shared_features = [span_features(tokens, *span, inner) for span, inner in zip(spans, contents, strict=True)]
     candidates = []
     for verb, arguments, voice in zip(verbs, rules, voices, strict=True):
         verb_spans, features = [], []
         others = {span: role for other in rules if other is not arguments for span, role in other.items()}
-        for span, names in zip(spans, shared_features, strict=True):
+        action = _Action(verb, arguments, others, verbs, voice)
+        for span, names, inner in zip(spans, shared_features, contents, strict=True):
             if not span[0] <= verb <= span[1] and tokens.sentence[span[0]] == tokens.sentence[verb]:
                 verb_spans.append(span)
-                features.append(names + pair_features(tokens, verb, span, arguments, others, verbs, voice))
+                features.append(names + pair_features(tokens, action, span, inner))
         candidates.append(ArgumentCandidates(verb_spans, features))
     return candidates
 
@@ -180,11 +185,10 @@ def _span_head(tokens: ParsedTokens, first: int, last: int) -> int:
     return last
 
 
-def span_features(tokens: ParsedTokens, first: int, last: int, anchor: int) -> list[str]:
-    """Name the features of a span that do not depend on the action."""
+def span_features(tokens: ParsedTokens, first: int, last: int, anchor: int, inner: str) -> list[str]:
+    """Name the features of a span that do not depend on the action; `inner` is its `content_word`."""
     text, pos = tokens.text, tokens.pos
     lemma = tokens.lemma[anchor]
-    inner = content_word(tokens, first, last, anchor)
     before = text[first - 1] if first else "^"
     behind = text[last + 1] if last + 1 < len(tokens) else "$"
     size = min(last - first + 1, 5)
@@ -228,33 +232,48 @@ def _subtree_overhang(tokens: ParsedTokens, first: int, last: int, anchor: int) 
     return left + right
 
 
-def pair_features(
-    tokens: ParsedTokens,
-    verb: int,
-    span: tuple[int, int, int],
-    rules: Mapping[Span, str],
-    others: Mapping[Span, str],
-    verbs: Sequence[int],
-    voice: str,
-) -> list[str]:
+@dataclass(frozen=True)
+class _Action:
+    """An action whose arguments are looked for."""
+
+    verb: int
+    """Token index."""
+    rules: Mapping[Span, str]
+    """Its arguments by the rules."""
+    others: Mapping[Span, str]
+    """Arguments of the other actions by the rules."""
+    verbs: Sequence[int]
+    """Token indices of all actions."""
+    voice: str
+    """"act" or "pass"."""
+    paths: dict[int, str] = field(default_factory=dict)
+    """Path in the parse from each head of a span, as far as it was needed."""
+
+    def path(self, tokens: ParsedTokens, anchor: int) -> str:
+        """Return the path from the head of a span to the verb."""
+        path = self.paths.get(anchor)
+        if path is None:
+            path = self.paths[anchor] = _dependency_path(tokens, self.verb, anchor)
+        return path
+
+
+def pair_features(tokens: ParsedTokens, action: _Action, span: tuple[int, int, int], inner: str) -> list[str]:
     """Name the features of a span as an argument of an action.
 
     Args:
         tokens: the caption.
-        verb: token index of the action.
+        action: the action.
         span: first and last token, and the head of the span.
-        rules: arguments of the action by the rules.
-        others: arguments of the other actions by the rules.
-        verbs: token indices of all actions.
-        voice: "act" or "pass".
+        inner: its `content_word`.
     """
     first, last, anchor = span
-    word, lemma, inner = tokens.text[first], tokens.lemma[verb], content_word(tokens, first, last, anchor)
+    verb, verbs, others, voice = action.verb, action.verbs, action.others, action.voice
+    word, lemma = tokens.text[first], tokens.lemma[verb]
     side = "L" if last < verb else "R"
-    rule = rules.get((first, last)) or _relation_to_rules(first, last, rules)
-    between = sum(1 for other in verbs if min(last, verb) < other < max(first, verb))
-    within = sum(1 for other in verbs if first <= other <= last)
-    path = _dependency_path(tokens, verb, anchor)
+    rule = action.rules.get((first, last)) or _relation_to_rules(first, last, action.rules)
+    between = sum([min(last, verb) < other < max(first, verb) for other in verbs])
+    within = sum([first <= other <= last for other in verbs])
+    path = action.path(tokens, anchor)
     distance = min(abs(first - verb) if side == "R" else abs(verb - last), 6)
     group = _verb_group(lemma)
     return [

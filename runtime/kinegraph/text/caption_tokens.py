@@ -8,15 +8,13 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 from kinegraph.text import lexicon
 
 
-@dataclass(frozen=True)
-class CaptionToken:
+class CaptionToken(NamedTuple):
     """A token of a caption."""
 
     text: str
@@ -79,7 +77,7 @@ def _split_tokens(written: Any, caption: str) -> list[CaptionToken]:
     for index, token in enumerate(tokens):
         text = _spell(tokens, index)
         if text != token.text:
-            tokens[index] = replace(token, text=text)
+            tokens[index] = token._replace(text=text)
     return tokens
 
 
@@ -117,15 +115,15 @@ def join_rotations(tokens: list[CaptionToken]) -> list[CaptionToken]:
     joined: list[CaptionToken] = []
     for token in tokens:
         if _ROTATION.fullmatch(token.text):
-            token = replace(token, text="counterclockwise")
+            token = token._replace(text="counterclockwise")
         elif token.text.lower() in ("clockwise", "clock-wise", "cw"):
             while len(joined) > 1 and joined[-1].text in "-‐‑–" and joined[-2].text.lower() in _AGAINST:
                 joined.pop()
             if joined and joined[-1].text.lower() in _AGAINST:
                 before = joined.pop()
-                token = replace(before, text="counterclockwise", end=token.end, space=token.space)
+                token = before._replace(text="counterclockwise", end=token.end, space=token.space)
             else:
-                token = replace(token, text="clockwise")
+                token = token._replace(text="clockwise")
         joined.append(token)
     return joined
 
@@ -142,11 +140,14 @@ _NUMBER_WORDS: Final = {
 _ROMAN: Final = {word: value for value, word in enumerate("i ii iii iv v vi vii viii ix x".split(), 1)}
 _BULLETS: Final = frozenset("- – — • * · ▪ ● ◦ ‣ ► > →".split())
 _ARROWS: Final = frozenset("-> => → > |".split())
+_STEP_SIGNS: Final = _BULLETS | _ARROWS | frozenset("( ) [ # :".split())
 _MARKS: Final = frozenset(". ) : - – — ]".split())
 
 
 def mark_steps(tokens: list[CaptionToken]) -> list[CaptionToken]:
     """Leave out the numbers and bullets of steps, and mark the token behind each as the first of a sentence."""
+    if not any(token.text in _STEP_SIGNS or token.text[0].isdecimal() or len(token.text) == 2 for token in tokens):
+        return tokens  # most captions
     numbers = _numbered_steps(tokens) or _bulleted_steps(tokens)
     kept: list[CaptionToken] = []
     begins = False
@@ -160,7 +161,7 @@ def mark_steps(tokens: list[CaptionToken]) -> list[CaptionToken]:
         if token.text in _ARROWS and kept:
             begins = True
             continue
-        kept.append(replace(token, begins_step=True) if begins else token)
+        kept.append(token._replace(begins_step=True) if begins else token)
         begins = False
     return kept
 
@@ -275,7 +276,7 @@ def drop_requests(tokens: list[CaptionToken]) -> list[CaptionToken]:
     if end == first == 0 or not rest:
         return tokens
     if is_told:
-        rest[0] = replace(rest[0], is_told=True)
+        rest[0] = rest[0]._replace(is_told=True)
         return _drop_infinitive_mark(rest)
     return rest
 
@@ -290,14 +291,14 @@ def _tells_to_move(words: Sequence[str]) -> bool:
             before = next(w for w in words[index - 1 :: -1] if w not in ("to", "not", "never") and not w.endswith("ly"))
             if before in _PRONOUNS:
                 return True
-            is_actor = before not in lexicon.EVENT_NOUNS | lexicon.NOUN_ADJECTIVES | _ARTICLES
-            return has_article and is_actor and before not in lexicon.SIDE_NOUNS | lexicon.BODY_NOUNS
+            return has_article and before not in _NO_ACTORS
         if not word.isalpha() and word not in ("'s", "’s"):
             return False
     return False
 
 
 _ARTICLES: Final = frozenset("a an the my your this that his her our their".split())
+_NO_ACTORS: Final = lexicon.EVENT_NOUNS | lexicon.NOUN_ADJECTIVES | lexicon.SIDE_NOUNS | lexicon.BODY_NOUNS | _ARTICLES
 _PRONOUNS: Final = frozenset("him her it them me us someone somebody everyone people".split())
 
 

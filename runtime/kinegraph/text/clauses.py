@@ -150,7 +150,7 @@ def _find_run_on_verbs(lower: Sequence[str], forms: list[Form], mood: Form) -> N
         word, before = lower[index], lower[index - 1]
         if forms[index] is Form.NONE and word in verbs:
             is_repeated = word == before and forms[index - 1] is mood
-            is_ended = before in _CLAUSE_ENDS and _word(lower, index - 2) not in _DETERMINERS | lexicon.NOUN_ADJECTIVES
+            is_ended = before in _CLAUSE_ENDS and _word(lower, index - 2) not in _NOUN_OPENERS
             if index > 1 and forms[index - 2] is mood and _base(lower[index - 2]) in _PARTICLE_VERBS:
                 is_ended = False  # "pick up | box"
             if is_repeated or is_ended or (before in _MEASURE_ENDS and index > 1):
@@ -158,6 +158,7 @@ def _find_run_on_verbs(lower: Sequence[str], forms: list[Form], mood: Form) -> N
 
 
 _CLAUSE_ENDS: Final = lexicon.DIRECTION_ADVERBS - {"in", "over", "out", "off", "through", "across", "along", "straight"}
+_NOUN_OPENERS: Final = _DETERMINERS | lexicon.NOUN_ADJECTIVES
 _PARTICLE_VERBS: Final = lexicon.TRANSFER | lexicon.TRANSITIVE
 _MEASURE_ENDS: Final = frozenset("steps times meters metres seconds twice thrice".split())
 
@@ -205,7 +206,10 @@ def _is_order(word: str, following: str, is_dictionary_verb: Callable[[str], boo
 
 def _begins_predicate(following: str) -> bool:
     """Tell by the word behind a verb that begins a sentence whether it is one ("kneels down", not "two jumps")."""
-    return following in _OBJECT_FOLLOWERS or following in _PREPOSITIONS - {"of", "with"} or following.endswith("ly")
+    return following in _PREDICATE_FOLLOWERS or following.endswith("ly")
+
+
+_PREDICATE_FOLLOWERS: Final = _OBJECT_FOLLOWERS | (_PREPOSITIONS - {"of", "with"})
 
 
 def _finite_verbs(lower: Sequence[str]) -> list[Form]:

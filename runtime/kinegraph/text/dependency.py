@@ -220,12 +220,10 @@ class DependencyParser:
         from spacy.tokens import Doc
 
         normalised = normalise_tokens(tokens, self._dictionary, verbs_at)
-        doc = Doc(
-            self._pipeline.vocab,
-            words=list(normalised.surrogates),
-            spaces=[token.space for token in tokens],
-            sent_starts=[begins or None for begins in normalised.begins_sentence],
-        )
+        doc = Doc(self._pipeline.vocab, words=list(normalised.surrogates), spaces=[token.space for token in tokens])
+        for token, begins in zip(doc, normalised.begins_sentence, strict=True):
+            if begins:
+                token.is_sent_start = True
         for _, component in self._pipeline.pipeline:
             doc = component(doc)
         for token, lemma in zip(doc, normalised.lemmas, strict=True):

@@ -27,16 +27,18 @@ _BETWEEN: Final = frozenset(
     " again once".split()
 )
 """Words that may stand between a negator and its verb, beside adverbs in -ly."""
-_NO_EVENTS: Final = frozenset("movement motion stop start balance point pace rotation stand".split())
-"""Nouns of motion whose absence is no negated action."""
+_EVENTS: Final = lexicon.EVENT_NOUNS - frozenset("movement motion stop start balance point pace rotation stand".split())
+"""Nouns of motion whose absence is a negated action."""
 
 
 def negated_events(doc: Any) -> list[Any]:
     """Find nouns that name a motion behind "no" or "without" ("no jumps", "without a wave")."""
-    found = []
+    found: list[Any] = []
+    if not any(token.lower_ in ("no", "without") for token in doc):
+        return found
     for token in doc:
         lemma = token.lemma_.lower()
-        if lemma in lexicon.EVENT_NOUNS - _NO_EVENTS and token.pos_ in ("NOUN", "PROPN"):
+        if lemma in _EVENTS and token.pos_ in ("NOUN", "PROPN"):
             before = token.i - 1
             while before > 0 and doc[before].head.i == token.i and doc[before].pos_ in ("DET", "ADJ", "NOUN", "PRON"):
                 if doc[before].lower_ == "no":

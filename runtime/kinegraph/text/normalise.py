@@ -262,10 +262,13 @@ def _is_clause_of_verb(lower: Sequence[str], index: int) -> bool:
     return following in _OBJECT_OPENERS or (_lacks_object(following) and following not in lexicon.FINITE_VERBS)
 
 
+_MOVING_VERBS = lexicon.TRANSFER | lexicon.TRANSITIVE
+
+
 def _has_object_behind(lower: Sequence[str], index: int, base: str) -> bool:
     """Tell whether a verb has an object behind a particle or a side ("picks up | a ball", "raise | left arm")."""
     following = lower[index + 1 : index + 3]
-    if len(following) < 2 or base not in lexicon.TRANSFER | lexicon.TRANSITIVE:
+    if len(following) < 2 or base not in _MOVING_VERBS:
         return False
     is_part = following[0] in ("left", "right") and following[1] in lexicon.BODY_NOUNS
     return is_part or (following[0] in _PARTICLES and not _lacks_object(following[1]))

@@ -22,6 +22,8 @@ NOUN_CLAUSES = frozenset(("relcl", "acl"))
 """Clauses that modify a noun; their verbs are actions of their own."""
 SUBJECTS = frozenset(("nsubj", "csubj", "expl"))
 PASSIVE_SUBJECTS = frozenset(("nsubjpass", "csubjpass"))
+ALL_SUBJECTS = SUBJECTS | PASSIVE_SUBJECTS
+_PASSIVE_LABELS = PASSIVE_SUBJECTS | {"auxpass"}
 SEQUENCE_WORDS = frozenset("then first next finally afterwards".split())
 """Adverbs that tell the place of the verb behind them in a sequence."""
 NON_ARGUMENTS = frozenset(
@@ -63,7 +65,7 @@ def is_subject_participle(token: Token) -> bool:
 
 def is_passive(head: Token) -> bool:
     """Tell whether a verb is in the passive voice."""
-    return any(child.dep_ in PASSIVE_SUBJECTS | {"auxpass"} for child in head.children)
+    return any(child.dep_ in _PASSIVE_LABELS for child in head.children)
 
 
 # Frames
@@ -167,7 +169,7 @@ def sequence_words(head: Token) -> list[int]:
 def _arguments_of_child(child: Token, head: Token) -> Iterator[tuple[str, Span | None]]:
     """Yield the arguments that one dependent of a verb gives; most give one."""
     label = child.dep_
-    if label in SUBJECTS | PASSIVE_SUBJECTS or is_run_on_clause(child, head):
+    if label in ALL_SUBJECTS or is_run_on_clause(child, head):
         return
     if label in NON_ARGUMENTS and not _is_unlabelled_content(child):
         return
@@ -300,7 +302,7 @@ def subject_span(head: Token) -> Span | None:
 def own_subject_span(head: Token) -> Span | None:
     """Find the subject among an action's own dependents."""
     for child in head.children:
-        if child.dep_ in SUBJECTS | PASSIVE_SUBJECTS:
+        if child.dep_ in ALL_SUBJECTS:
             is_relative = child.tag_ in ("WP", "WDT") and head.dep_ == "relcl"
             return phrase_span(head.head) if is_relative else phrase_span(child)
     return None
@@ -313,15 +315,18 @@ def is_run_on_clause(child: Token, head: Token) -> bool:
 
 # Roles
 
-_LOOKED_AT = frozenset("at to toward towards over behind".split())
-"""Prepositions with which looking is an action, not an appearance."""
+_UNDERGOING = lexicon.UNACCUSATIVE | lexicon.STATIVE
+_LOOKED_AT = lexicon.DIRECTION_ADVERBS | frozenset("at to toward towards over behind".split())
+"""Words with which looking is an action, not an appearance."""
+_SIDES_AND_WAYS = lexicon.SIDE_NOUNS | lexicon.WAYS
+_SIDES = lexicon.SIDE_NOUNS | lexicon.DIRECTION_ADVERBS
 
 
 def subject_role(head: Token, has_object: bool) -> str:
     """Choose ARG1 for subjects of passives and of verbs such as "fall", which undergo the motion, else ARG0."""
     lemma = head.lemma_.lower()
-    undergoes = lemma in lexicon.UNACCUSATIVE | lexicon.STATIVE and not has_object
-    if lemma == "look" and any(child.lower_ in lexicon.DIRECTION_ADVERBS | _LOOKED_AT for child in head.children):
+    undergoes = lemma in _UNDERGOING and not has_object
+    if lemma == "look" and any(child.lower_ in _LOOKED_AT for child in head.children):
         return "ARG0"
     return "ARG1" if is_passive(head) or undergoes else "ARG0"
 
@@ -348,7 +353,7 @@ def endpoint_role(token: Token, head: Token) -> str | None:
     After travel, ARG3 is the start and ARG4 the goal. After transfer, ARG2 is the recipient or the place.
     """
     lemmas = {below.lemma_.lower() for below in phrase_tokens(token)}
-    if lemmas & (lexicon.SIDE_NOUNS | lexicon.WAYS):
+    if not lemmas.isdisjoint(_SIDES_AND_WAYS):
         return None
     verb, preposition = head.lemma_.lower(), token.lower_
     if verb in lexicon.TRAVEL and preposition in ("from", "to"):
@@ -395,7 +400,7 @@ def noun_adverb_role(token: Token) -> str:
     lemma = token.lemma_.lower()
     if lemma in lexicon.TIME_NOUNS:
         return "ARGM-TMP"
-    if lemma in lexicon.SIDE_NOUNS | lexicon.DIRECTION_ADVERBS:
+    if lemma in _SIDES:
         return "ARGM-DIR"
     return "ARGM-MNR" if lemma in lexicon.MANNER_NOUNS and lemma != "step" else "OTHERS"
 
