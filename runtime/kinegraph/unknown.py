@@ -15,7 +15,7 @@ Reason = Literal["word", "combination", "people"]
 """Why a span is unknown.
 
 - word: no training caption has the word.
-- combination: training captions have the words, but never together ("raises the head").
+- combination: training captions have the words, but never so ("raises the head", "stands" beside "stands out").
 - people: a second person; a bundle moves one.
 """
 
@@ -25,7 +25,7 @@ _MAX_TEXT: Final = 512
 
 _EXPLANATIONS: Final[Mapping[str, str]] = {
     "word": "",
-    "combination": "known words that were never seen together",
+    "combination": "known words, but not in this use",
     "people": "more than one person",
 }
 

@@ -1,7 +1,7 @@
 // What of a sentence the bundle was never shown, with what is near, and what it could not honour.
 import { element } from "./elements.js";
 
-const REASONS = { combination: "known words that were never seen together", people: "more than one person" };
+const REASONS = { combination: "known words, but not in this use", people: "more than one person" };
 
 function line({ text, nearest, reason }) {
   const made = element("p", { class: "unknown" }, "Not known: ", element("mark", {}, text));
