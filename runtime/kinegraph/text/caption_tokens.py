@@ -326,3 +326,21 @@ def drop_politeness(tokens: list[CaptionToken]) -> list[CaptionToken]:
         elif not (token.text == "," and not kept):
             kept.append(token)
     return kept
+
+
+_WORDS: Final = "|".join(
+    sorted(
+        {"w", "n", "had", "clockwise", "ccw", "cw", "counter", "anti", "contra"}
+        | _POLITE
+        | {word for word in lexicon.ABBREVIATIONS if word.isalpha()}
+    )
+)
+UNUSUAL: Final = re.compile(
+    rf"[^A-Za-z ,.']|^ |  |\b(?:{_WORDS}|anticlockwise|counterclockwise|contraclockwise)\b|\b(?:[a-z]|[ivx]{{2,4}})\."
+    rf"|\b(?:{'|'.join(_STEP_NOUNS)}) (?:{'|'.join(_NUMBER_WORDS)}|[a-j]|[ivx]{{2,4}})\b"
+    r"|\b(?:video|clip|animation|movie|gif|scene|sequence|mocap|recording|motion)\b"
+    r"|^(?:hi|hey|hello|ok|okay|now|so|well|just|can|could|would|will|should|how|let|lets|i|make|create|generate|animate"
+    r"|render|produce|draw|show|give|get|simulate|visuali[sz]e|display|depict|imagine|picture|have|help)\b",
+    re.IGNORECASE,
+)
+"""Captions in which `caption_tokens` may change something; the tokens of all others are those of spaCy."""

@@ -15,7 +15,7 @@ from typing import Any, Final
 
 from kinegraph.errors import BundleFormatError, MissingExtraError
 from kinegraph.text import lexicon
-from kinegraph.text.caption_tokens import CaptionToken, caption_tokens
+from kinegraph.text.caption_tokens import UNUSUAL, CaptionToken, caption_tokens
 from kinegraph.text.normalise import Dictionary, NormalisedTokens, normalise_tokens
 
 PIPES: Final[tuple[str, ...]] = ("tok2vec", "tagger", "parser", "attribute_ruler", "lemmatizer")
@@ -205,7 +205,11 @@ class DependencyParser:
 
         If the parser took a verb for a plural noun, the caption is parsed a second time with that word as a verb.
         """
-        tokens = caption_tokens(self._pipeline.make_doc(clean(caption)), caption)
+        written = self._pipeline.make_doc(clean(caption))
+        if UNUSUAL.search(caption):
+            tokens = caption_tokens(written, caption)
+        else:
+            tokens = [CaptionToken(t.text, t.idx, t.idx + len(t), bool(t.whitespace_)) for t in written]
         doc, normalised = self._run_pipeline(tokens, ())
         verb = _find_overlooked_verb(doc, normalised.words)
         if verb is not None:

@@ -23,6 +23,10 @@ STATIVE: Final = frozenset("look seem appear feel be remain become sound".split(
 
 ENDING: Final = frozenset("stop quit cease avoid refrain".split())
 """Verbs after which the participle behind them does not happen ("stops walking")."""
+KEEPING: Final = frozenset("keep hold leave".split())
+"""Verbs that negate raising where their object stays down ("keeps the hands down")."""
+NEGATORS: Final = frozenset("not n't nt never without no neither nor cannot".split())
+"""Words that negate the verb behind them."""
 CATENATIVE: Final = ENDING | frozenset("start begin continue keep finish like love enjoy practise practice".split())
 """Verbs whose object is the participle behind them ("starts walking")."""
 

@@ -14,10 +14,6 @@ from kinegraph.text import lexicon
 from kinegraph.text.dependency import ParsedTokens
 from kinegraph.text.rules import PredicateFrame
 
-NEGATORS: Final = frozenset("not n't nt never without no neither nor cannot".split())
-"""Words that negate the verb behind them."""
-KEEPING_VERBS: Final = frozenset("keep hold leave".split())
-"""Verbs that negate raising where the object stays down."""
 LIMBS: Final = frozenset("arm hand elbow fist leg knee foot heel".split())
 _LOW: Final = frozenset("down lowered low".split())
 _MOVING: Final = frozenset("move budge stir flinch".split())
@@ -33,9 +29,7 @@ _EVENTS: Final = lexicon.EVENT_NOUNS - frozenset("movement motion stop start bal
 
 def negated_events(doc: Any) -> list[Any]:
     """Find nouns that name a motion behind "no" or "without" ("no jumps", "without a wave")."""
-    found: list[Any] = []
-    if not any(token.lower_ in ("no", "without") for token in doc):
-        return found
+    found = []
     for token in doc:
         lemma = token.lemma_.lower()
         if lemma in _EVENTS and token.pos_ in ("NOUN", "PROPN"):
@@ -67,7 +61,7 @@ def _is_behind_negator(tokens: ParsedTokens, verb: int) -> bool:
     index = verb - 1
     while index >= 0:
         word = tokens.text[index]
-        if word in NEGATORS:
+        if word in lexicon.NEGATORS:
             return not (word == "not" and verb - 1 > index and tokens.text[index + 1] == "only")
         if word in ("of", "than"):
             return index > 0 and tokens.text[index - 1] in ("instead", "rather")
@@ -94,7 +88,7 @@ def _is_state(frame: PredicateFrame) -> bool:
 
 def _is_kept_down(frame: PredicateFrame) -> bool:
     """Tell whether an action is keeping arms or legs down."""
-    if frame.head.lemma_.lower() not in KEEPING_VERBS:
+    if frame.head.lemma_.lower() not in lexicon.KEEPING:
         return False
     objects = [child for child in frame.head.children if child.dep_ in ("dobj", "nsubj", "oprd")]
     words = {below.lower_ for child in objects for below in child.subtree} | {

@@ -26,7 +26,7 @@ from kinegraph.graph import Action, Argument, SemanticGraph
 from kinegraph.limits import MAX_NODES, MAX_TEXT
 from kinegraph.text import lexicon
 from kinegraph.text.argument_classifier import ArgumentCandidates, ArgumentClassifier, argument_candidates
-from kinegraph.text.dependency import DependencyParse, DependencyParser, Span, has_word
+from kinegraph.text.dependency import DependencyParse, DependencyParser, ParsedTokens, Span, has_word
 from kinegraph.text.negation import mark_negations, negated_events
 from kinegraph.text.quantities import MAY_HOLD_QUANTITY, iterate_adverbial
 from kinegraph.text.rules import (
@@ -78,7 +78,8 @@ class GraphParser:
         drop_arguments_of_others(parse, frames)
         share_subjects(parse, frames)
         attach_uncovered_words(parse.doc, frames)
-        mark_negations(parse.tokens, frames)
+        if may_negate(parse.tokens):
+            mark_negations(parse.tokens, frames)
         return build_graph(caption, parse.offsets, frames)
 
     def parse_dependencies(self, caption: str) -> DependencyParse:
@@ -136,7 +137,8 @@ def predicate_frames(parse: DependencyParse) -> list[PredicateFrame]:
     """Find the actions of a caption, at least one, with their arguments by the rules."""
     verbs = parse.clause_verbs | parse.states
     heads = [token for token in parse.doc if token.i in verbs or (is_action(token) and not _is_held(parse, token))]
-    events = [token for token in negated_events(parse.doc) if token not in heads]
+    is_negative = not _NEGATED_NOUNS.isdisjoint(parse.tokens.text)
+    events = [token for token in negated_events(parse.doc) if token not in heads] if is_negative else []
     frames = [build_frame(token) for token in sorted(heads + events, key=lambda token: token.i)]
     for frame in frames:
         if frame.head.i in parse.states:
@@ -162,6 +164,16 @@ def add_quantities(caption: str, parse: DependencyParse, frames: list[PredicateF
             continue
         frame.arguments = [(role, other) for role, other in frame.arguments if other[1] < span[0] or span[1] < other[0]]
         frame.add("ARGM-TMP", span, certain=True)
+
+
+_NEGATED_NOUNS = frozenset(("no", "without"))
+_NEGATIVE_WORDS = lexicon.NEGATORS | {"instead", "rather"}
+_NEGATIVE_VERBS = lexicon.ENDING | lexicon.KEEPING
+
+
+def may_negate(tokens: ParsedTokens) -> bool:
+    """Tell whether a caption holds a word that may negate an action; most hold none."""
+    return not (_NEGATIVE_WORDS.isdisjoint(tokens.text) and _NEGATIVE_VERBS.isdisjoint(tokens.lemma))
 
 
 def state_role(role: str, frame: PredicateFrame) -> str:
