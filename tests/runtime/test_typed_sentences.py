@@ -15,6 +15,8 @@ from support.shared import shared_path
 
 pytest.importorskip("spacy")
 
+from kinegraph.text.caption_tokens import UNUSUAL, CaptionToken, caption_tokens
+from kinegraph.text.dependency import clean, load_pipeline
 from kinegraph.text.parser import GraphParser, read_parser
 
 BUNDLE = Path(kinegraph.__file__).parent / "bundles" / "default"
@@ -248,6 +250,20 @@ def test_the_negating_word_is_an_argument_of_no_other_action(parser: GraphParser
     graph = parser.parse("a person walks but does not turn")
     assert arguments(graph, 1)["not"] == "OTHERS"
     assert "not" not in " ".join(arguments(graph, 0))
+
+
+def test_captions_that_are_read_as_spacy_cuts_them_lose_nothing() -> None:
+    # A quick look tells plain captions; in those, nothing may be left to split, join or leave out.
+    pipeline = load_pipeline((BUNDLE / "parser.bin").read_bytes())
+    known = DEV.parents[1] / "data" / "known_sentences.jsonl"
+    lines = [line for path in (DEV, known) for line in path.read_text(encoding="utf-8").splitlines()]
+    captions = {row.get("caption") or row["text"] for row in map(json.loads, lines)}
+    plain = [caption for caption in captions if not UNUSUAL.search(caption)]
+    assert len(plain) > 400
+    for caption in plain:
+        written = pipeline.make_doc(clean(caption))
+        tokens = [CaptionToken(t.text, t.idx, t.idx + len(t), bool(t.whitespace_)) for t in written]
+        assert caption_tokens(written, caption) == tokens, caption
 
 
 def test_development_sentences_are_parsed_as_a_reader_does(parser: GraphParser, tmp_path: Path) -> None:
