@@ -5,13 +5,13 @@ The stages, in the order of `GraphParser.parse`:
 1. `caption_tokens` chooses the words that are read; `clauses` finds the verbs that their place tells.
 2. `dependency` parses these words, after `normalise` has corrected them.
 3. `rules` finds the actions and a first guess of their arguments: the predicate frames.
-4. `candidates` lists the spans that may be arguments.
-5. `argument_classifier` scores them and selects the best set without overlap.
+4. `quantities` makes what says how long or how often an argument of its own.
+5. `argument_classifier` lists the spans that may be arguments, scores them and selects the best set without overlap.
 6. Content words that no node covers join the nearest action.
 7. `negation` marks the actions that must not happen.
 8. The frames become a graph with character offsets.
 
-Without weights of the argument classifier, stages 4 and 5 are left out and the arguments of the rules stand.
+Without weights of the argument classifier, stage 5 is left out and the arguments of the rules stand.
 """
 
 from __future__ import annotations
