@@ -197,10 +197,10 @@ def train(work: Path) -> None:
     train_denoisers.main(["--assets", str(work / "assets"), *common, *lightning])
 
 
-def without_parser(bundle: Path) -> Manifest:
-    """Take the parser out of an exported bundle and say where the text encoder is from; write the manifest anew."""
+def keep_graphs(bundle: Path) -> Manifest:
+    """Take parser and vocabulary out of an exported bundle, say where its text encoder is from, and seal it anew."""
     manifest = decode_manifest((bundle / "manifest.json").read_bytes())
-    for name in ("parser.bin", "arguments.npz"):
+    for name in ("parser.bin", "arguments.npz", "vocabulary.npz"):
         (bundle / name).unlink()
     provenance = {**manifest.provenance, "text_encoder": "random weights", "parser": "none", "arguments": "none"}
     files = {name: entry for name, entry in manifest.files.items() if (bundle / name).is_file()}
@@ -220,7 +220,7 @@ def main() -> None:
     write_clips(arguments.work / "data")
     train(arguments.work)
     export_bundle(arguments.work / "run", arguments.work / "assets", CARD, arguments.out, "fp32")
-    manifest = without_parser(arguments.out)
+    manifest = keep_graphs(arguments.out)
     size = sum(entry.bytes for entry in manifest.files.values())
     print(f"{size / 1e6:.2f} MB in {arguments.out}, pipeline {manifest.parity['pipeline_mm']:.3f} mm from torch")
 
