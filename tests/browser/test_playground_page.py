@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import threading
 import time
 from itertools import pairwise
@@ -46,6 +47,15 @@ def test_a_sentence_becomes_a_clip_with_its_graph_and_its_latencies(open_page: O
     assert page.locator(".clock").inner_text() == "2.0 / 3.0 s"
     stages = page.locator(".stages dt").all_text_contents()
     assert stages[0] == "parser" and stages[-1] == "clip seen after" and len(stages) in (8, 9)
+
+
+def test_downloads_are_named_after_the_sentence_and_the_seed(open_page: Open, server: PlaygroundClient) -> None:
+    page = open_page(server.url)
+    generate(page, seconds="2", seed="11", steps="2")
+    with page.expect_download(timeout=60_000) as waiting:
+        page.locator("[data-suffix='.bvh']").click()
+    words = "_".join(re.findall(r"[a-z]+", TEXT.lower()))
+    assert waiting.value.suggested_filename == f"{words}_11.bvh"
 
 
 def test_files_are_those_of_the_command_line(open_page: Open, server: PlaygroundClient, tmp_path: Path) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import re
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -73,5 +74,5 @@ def generate(page: Page, text: str = TEXT, **values: str) -> None:
 def download(page: Page, suffix: str) -> bytes:
     with page.expect_download(timeout=60_000) as waiting:
         page.locator(f"[data-suffix='{suffix}']").click()
-    assert waiting.value.suggested_filename == f"clip{suffix}"
+    assert re.fullmatch(rf"\w+_\d+{re.escape(suffix)}", waiting.value.suggested_filename)  # words and seed
     return Path(waiting.value.path()).read_bytes()

@@ -9,6 +9,13 @@ export function facts(clip) {
   return `${seconds} s, ${clip.frames} frames at ${clip.fps} per second, seed ${clip.seed}, ${clip.bundle}`;
 }
 
+/** A name for the files of a clip, of its words and seed: "a_person_walks_forward_7". */
+export function fileName(clip) {
+  const words = clip.text.toLowerCase().match(/[\p{L}\p{N}]+/gu) ?? ["clip"];
+  const kept = words.filter((_, index) => words.slice(0, index + 1).join("_").length <= 60);
+  return [...(kept.length ? kept : ["clip"]), clip.seed].join("_");
+}
+
 /** What a clip was made of, in a line that tells it from others: its sentence, weights, negations, method and seed. */
 export function named(clip, { graph, concepts, method, lambdas, agd }) {
   const parts = concepts ?? (graph ? nodesOf(graph) : []);

@@ -1,6 +1,6 @@
 // What stands below the form: facts, latency of each stage, files, the link.
 import * as api from "./api.js";
-import { facts } from "./describe.js";
+import { facts, fileName } from "./describe.js";
 import { element } from "./elements.js";
 import { linkOf } from "./link.js";
 import { tell } from "./told.js";
@@ -8,12 +8,13 @@ import { tell } from "./told.js";
 export function createResult(box, play, fail) {
   const [names, link] = [".names", ".link"].map((name) => box.querySelector(name));
   let wish = null;
+  let name = "clip";
 
   async function download(suffix) {
     try {
       const named = play.named.includes(suffix) ? names.value : "smpl";
       const url = URL.createObjectURL(await api.file(wish, suffix, named));
-      element("a", { href: url, download: `clip${suffix}` }).click();
+      element("a", { href: url, download: `${name}${suffix}` }).click();
       setTimeout(() => URL.revokeObjectURL(url), 10_000);
       fail(null);
     } catch (error) {
@@ -38,6 +39,7 @@ export function createResult(box, play, fail) {
     /** made: the server's event; asked: the wish with the clip's seed; seen: milliseconds from button to picture. */
     show(made, asked, seen) {
       wish = asked;
+      name = fileName(made.clip);
       box.hidden = false;
       box.querySelector(".facts").textContent = facts(made.clip);
       tell(box.querySelector(".told"), made.clip);
