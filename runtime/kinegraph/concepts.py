@@ -41,8 +41,8 @@ walks, and 95 % at -0.3 (`kinegraph_benchmarks.quality.composition_settings`).
 SPOKEN_NEGATION_WEIGHT: Final = -0.5
 """Weight of an action that a sentence itself negates ("without waving").
 
-The rest of the sentence does not name it, so less than -1 is enough. Of 74 sentences in eight forms, the action is gone
-in 97 % of clips at -0.5 and at -1; the rest holds in 99 % of what it holds without the negation at -0.5, and in 93 % at
+The rest of the sentence does not name it, so less than -1 is enough: over 74 sentences in eight forms the action is gone
+in as many clips at -0.5 as at -1. The rest holds in 99.7 % of what it holds without the negation at -0.5, and in 93 % at
 -1: "walks, not running" loses 21 % of the walks (`kinegraph_benchmarks.quality.negations`).
 """
 MAX_STEP_SIZE: Final = 1.0

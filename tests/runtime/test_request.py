@@ -68,6 +68,23 @@ def test_a_negated_action_is_a_concept_of_negative_weight(toy: MotionPipeline, m
     assert without.graph is not None and [action.negated for action in without.graph.actions] == [False, True]
 
 
+@pytest.mark.parametrize(
+    ("sentence", "wanted", "negated"),
+    [
+        ("a person runs with no waving of the left hand", "a person runs", "waves"),
+        ("a person runs with no raised arms", "a person runs", "raises"),
+        ("a person bows with no walking", "a person bows", "walks"),
+        ("someone walks backward with no jump", "someone walks backward", "jumps"),
+    ],
+)
+def test_no_before_a_noun_of_motion_is_a_negation(
+    toy: MotionPipeline, manifest: Manifest, sentence: str, wanted: str, negated: str
+) -> None:
+    request = interpret(toy.parse(sentence), manifest)
+    assert request.wanted.caption == wanted
+    assert [graph.actions[0].text for graph in request.negated] == [negated]
+
+
 def test_nothing_but_a_negation_is_to_stand_still(toy: MotionPipeline, manifest: Manifest) -> None:
     request = interpret(toy.parse("a person does not walk"), manifest)
     assert request.wanted == STANDING and [graph.caption for graph in request.negated] == ["a person walks"]

@@ -28,19 +28,31 @@ _EVENTS: Final = lexicon.EVENT_NOUNS - frozenset("movement motion stop start bal
 
 
 def negated_events(doc: Any) -> list[Any]:
-    """Find nouns that name a motion behind "no" or "without" ("no jumps", "without a wave")."""
+    """Find nouns of motion behind "no" or "without": "no jumps", "no waving of the hand", "no raised hands"."""
     found = []
     for token in doc:
-        lemma = token.lemma_.lower()
-        if lemma in _EVENTS and token.pos_ in ("NOUN", "PROPN"):
-            before = token.i - 1
-            while before > 0 and doc[before].head.i == token.i and doc[before].pos_ in ("DET", "ADJ", "NOUN", "PRON"):
-                if doc[before].lower_ == "no":
-                    break
-                before -= 1
-            if before >= 0 and doc[before].lower_ in ("no", "without") and token.dep_ not in ("compound", "amod"):
-                found.append(token)
+        if not (_names_motion(token) or _is_held(token)):
+            continue
+        before = token.i - 1
+        while before > 0 and doc[before].head.i == token.i and doc[before].pos_ in ("DET", "ADJ", "NOUN", "PRON"):
+            if doc[before].lower_ == "no":
+                break
+            before -= 1
+        if before >= 0 and doc[before].lower_ in ("no", "without"):
+            found.append(token)
     return found
+
+
+def _names_motion(token: Any) -> bool:
+    """Tell whether a noun is that of a motion: an event, or a verb in -ing."""
+    is_event = token.lemma_.lower() in _EVENTS or token.lower_ in lexicon.PARTICIPLES
+    return is_event and token.pos_ in ("NOUN", "PROPN") and token.dep_ not in ("compound", "amod")
+
+
+def _is_held(token: Any) -> bool:
+    """Tell whether a participle says how a part of the body is held ("raised hands")."""
+    is_participle = token.lower_ in lexicon.PAST_PARTICIPLES or (token.lower_.endswith("ed") and token.dep_ == "amod")
+    return is_participle and token.head.i > token.i and token.head.lower_ in lexicon.BODY_NOUNS
 
 
 def mark_negations(tokens: ParsedTokens, frames: Sequence[PredicateFrame]) -> None:
