@@ -41,9 +41,9 @@ walks, and 95 % at -0.3 (`kinegraph_benchmarks.quality.composition_settings`).
 SPOKEN_NEGATION_WEIGHT: Final = -0.5
 """Weight of an action that a sentence itself negates ("without waving").
 
-The rest of the sentence does not name it, so less than -1 is enough: over 74 sentences in eight forms the action is gone
-in as many clips at -0.5 as at -1. The rest holds in 99.7 % of what it holds without the negation at -0.5, and in 93 % at
--1: "walks, not running" loses 21 % of the walks (`kinegraph_benchmarks.quality.negations`).
+The rest of the sentence does not name it, so less than -1 is enough. Over 74 sentences in eight forms the action is
+gone in as many clips at -0.5 as at -1. The rest holds in 99.7 % of what it holds without the negation at -0.5, in 93 %
+at -1: "walks, not running" loses 21 % of the walks (`kinegraph_benchmarks.quality.negations`).
 """
 MAX_STEP_SIZE: Final = 1.0
 """Largest step size of adaptive gradient descent.
