@@ -8,12 +8,12 @@ negated: it must not happen. `kinegraph.edits` changes a graph.
 from __future__ import annotations
 
 import json
-import math
 from dataclasses import dataclass
 from typing import Any, Final, NoReturn
 
 from kinegraph.errors import InvalidGraphError
 from kinegraph.limits import MAX_NODES, MAX_TEXT
+from kinegraph.validation import finite_number, short_repr
 
 MOTION_ACTION: Final = "ARGM-MA"
 """Type of the edges from the motion node to the actions."""
@@ -101,15 +101,16 @@ class SemanticGraph:
             where = f"actions[{index}]"
             _check_node(action, self.caption, where)
             if type(action.order) is not int or not 0 <= action.order < MAX_NODES:
-                raise InvalidGraphError(f"{where}.order must be 0 to {MAX_NODES - 1}, not {action.order!r}")
+                raise InvalidGraphError(f"{where}.order must be 0 to {MAX_NODES - 1}, not {short_repr(action.order)}")
             if type(action.negated) is not bool:
-                raise InvalidGraphError(f"{where}.negated must be true or false, not {action.negated!r}")
+                raise InvalidGraphError(f"{where}.negated must be true or false, not {short_repr(action.negated)}")
             for argument_index, argument in enumerate(action.arguments):
                 argument_where = f"{where}.arguments[{argument_index}]"
                 _check_node(argument, self.caption, argument_where)
-                if argument.role not in ARGUMENT_ROLES:
+                if not isinstance(argument.role, str) or argument.role not in ARGUMENT_ROLES:
                     raise InvalidGraphError(
-                        f"{argument_where}.role must be one of {', '.join(ARGUMENT_ROLES)}, not {argument.role!r}"
+                        f"{argument_where}.role must be one of {', '.join(ARGUMENT_ROLES)}, "
+                        f"not {short_repr(argument.role)}"
                     )
 
     @property
@@ -214,15 +215,17 @@ def _check_node(node: Action | Argument, caption: str, where: str) -> None:
     if type(start) is not int or type(end) is not int or not 0 <= start < end <= len(caption):
         raise InvalidGraphError(
             f"{where}: start and end must be offsets into the caption of {len(caption)} characters, "
-            f"not {start!r} and {end!r}"
+            f"not {short_repr(start)} and {short_repr(end)}"
         )
     if node.text != caption[start:end]:
-        raise InvalidGraphError(f"{where}.text {node.text!r} is not caption[{start}:{end}] {caption[start:end]!r}")
-    weight = node.weight
-    if isinstance(weight, bool) or not isinstance(weight, int | float) or not math.isfinite(weight):
-        raise InvalidGraphError(f"{where}.weight must be a finite number, not {weight!r}")
+        raise InvalidGraphError(
+            f"{where}.text {short_repr(node.text)} is not caption[{start}:{end}] {caption[start:end]!r}"
+        )
+    weight = finite_number(node.weight) if isinstance(node.weight, int | float) else None
+    if weight is None:
+        raise InvalidGraphError(f"{where}.weight must be a finite number, not {short_repr(node.weight)}")
     if not 0 <= weight <= MAX_WEIGHT:
-        raise InvalidGraphError(f"{where}.weight must be 0 to {MAX_WEIGHT:g}, not {weight!r}")
+        raise InvalidGraphError(f"{where}.weight must be 0 to {MAX_WEIGHT:g}, not {weight:g}")
 
 
 def _refuse_constant(token: str) -> NoReturn:

@@ -149,3 +149,23 @@ def test_every_role_except_that_of_actions_is_allowed(role: str) -> None:
     argument = Argument(role, "slowly", 15, 21)
     graph = SemanticGraph(CAPTION, (Action("walks", 9, 14, 0, arguments=(argument,)),))
     assert graph.node_count == 3
+
+
+@pytest.mark.parametrize(
+    "value", [10**400, -(10**5000), 1e400, float("nan"), "1", None, True, [1]], ids=lambda value: type(value).__name__
+)
+def test_a_weight_of_any_size_or_type_is_refused_in_few_words(value: object) -> None:
+    with pytest.raises(InvalidGraphError) as caught:
+        SemanticGraph("a person walks", (Action("walks", 9, 14, 0, value),))  # type: ignore[arg-type]
+    assert "weight must be" in str(caught.value) and len(str(caught.value)) < 200
+    text = '{"caption":"a person walks","actions":[{"text":"walks","start":9,"end":14,"weight":1%s}]}' % ("0" * 400)
+    with pytest.raises(InvalidGraphError, match="weight must be a finite number"):
+        SemanticGraph.from_json(text)
+
+
+@pytest.mark.parametrize("field", ["text", "start", "end", "order", "negated"])
+def test_numbers_of_thousands_of_digits_in_any_field_are_refused_in_few_words(field: str) -> None:
+    fields = {"text": "walks", "start": 9, "end": 14, "order": 0, field: 10**5000}
+    with pytest.raises(InvalidGraphError) as caught:
+        SemanticGraph("a person walks", (Action(**fields),))  # type: ignore[arg-type]
+    assert len(str(caught.value)) < 200

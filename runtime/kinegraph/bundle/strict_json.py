@@ -10,6 +10,7 @@ from collections.abc import Mapping
 from typing import Any, Literal, NoReturn, TypeVar, cast, get_args, get_origin, get_type_hints
 
 from kinegraph.errors import BundleFormatError
+from kinegraph.validation import short_repr
 
 T = TypeVar("T")
 
@@ -31,8 +32,11 @@ def parse_object(data: bytes, where: str) -> dict[str, Any]:
     def refuse_repeats(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
         record = dict(pairs)
         if len(record) != len(pairs):
-            keys = [key for key, _ in pairs]
-            raise BundleFormatError(f"{where}: repeated key {next(k for k in keys if keys.count(k) > 1)!r}")
+            seen: set[str] = set()
+            for key, _ in pairs:
+                if key in seen:
+                    raise BundleFormatError(f"{where}: repeated key {short_repr(key)}")
+                seen.add(key)
         return record
 
     try:
