@@ -176,22 +176,7 @@ class MotionPipeline:
             UnknownWordsError: something is unknown, and `strict` is set.
             InvalidInputError: `strict` is set and the bundle has no vocabulary; also as in `parse`.
         """
-        if self.vocabulary is None:
-            if strict:
-                raise InvalidInputError(
-                    f"strict needs a bundle that knows what it was shown, and {self.manifest.name!r} has no "
-                    "vocabulary.npz; leave out strict, or add it: python -m kinegraph_export.vocabulary"
-                )
-            return ()
-        spans = [span for text in texts for span in self._unknown_spans(self.as_graph(text), self.vocabulary)]
-        unknown = tuple({(span.text.lower(), span.reason): span for span in reversed(spans)}.values())[::-1]
-        if unknown and strict:
-            raise UnknownWordsError(
-                f"not known: {describe_unknown(unknown)}; say it in known words (`kinegraph info --words` lists them), "
-                "or leave out strict to take what comes nearest",
-                unknown,
-            )
-        return unknown
+        return _once_each(self._unknown_of_each(texts, strict))
 
     def generate(
         self,
@@ -356,11 +341,12 @@ class MotionPipeline:
             for length in lengths
         ]
         graphs = [self.as_graph(text) for text in texts]
-        unknown = self.find_unknown(*graphs, strict=strict)
+        unknown_of_each = self._unknown_of_each(graphs, strict)
+        unknown = _once_each(unknown_of_each)
         seeds = batch_seeds(options[0].seed, len(texts), takes=1, most=MAX_PARTS)
         sentences = [
-            self._encode_sentence(graph, option, own_length=length is None, is_known=not self.find_unknown(graph))
-            for graph, option, length in zip(graphs, options, lengths, strict=True)
+            self._encode_sentence(graph, option, own_length=length is None, is_known=not words)
+            for graph, option, length, words in zip(graphs, options, lengths, unknown_of_each, strict=True)
         ]
         notes = tuple(dict.fromkeys(note for sentence in sentences for note in sentence.notes))
         if len(sentences) == 1:
@@ -455,11 +441,24 @@ class MotionPipeline:
             spans += [replace(span, text=first.text, start=first.start, end=first.end) for span in standing]
         return spans
 
-    def _unknown_of_each(self, graphs: Sequence[SemanticGraph], strict: bool) -> list[tuple[Unknown, ...]]:
-        """Find what is unknown in each graph; with `strict`, refuse all of them together."""
-        if strict:
-            self.find_unknown(*graphs, strict=True)
-        return [self.find_unknown(graph) for graph in graphs]
+    def _unknown_of_each(self, texts: Sequence[str | SemanticGraph], strict: bool) -> list[tuple[Unknown, ...]]:
+        """Find what is unknown in each text; with `strict`, refuse all of them together. See `find_unknown`."""
+        if self.vocabulary is None:
+            if strict:
+                raise InvalidInputError(
+                    f"strict needs a bundle that knows what it was shown, and {self.manifest.name!r} has no "
+                    "vocabulary.npz; leave out strict, or add it: python -m kinegraph_export.vocabulary"
+                )
+            return [()] * len(texts)
+        of_each = [_once_each([self._unknown_spans(self.as_graph(text), self.vocabulary)]) for text in texts]
+        unknown = _once_each(of_each)
+        if unknown and strict:
+            raise UnknownWordsError(
+                f"not known: {describe_unknown(unknown)}; say it in known words (`kinegraph info --words` lists them), "
+                "or leave out strict to take what comes nearest",
+                unknown,
+            )
+        return of_each
 
     def _encode(
         self, plan: SamplingPlan, options: GenerateOptions, *, own_length: bool
@@ -565,3 +564,9 @@ class MotionPipeline:
                 on_level(level, self.decoder.decode(latents, [options], [caption], level)[0])
 
         return decode_level
+
+
+def _once_each(of_each: Sequence[Sequence[Unknown]]) -> tuple[Unknown, ...]:
+    """Join what is unknown in several texts, the same words once."""
+    spans = [span for unknown in of_each for span in unknown]
+    return tuple({(span.text.lower(), span.reason): span for span in reversed(spans)}.values())[::-1]

@@ -26,7 +26,7 @@ from kinegraph.interpretation import (
 )
 from kinegraph.options import GenerateOptions
 from kinegraph.text.lexicon import WORDINGS
-from kinegraph.text.quantities import MAY_HOLD_QUANTITY, Quantity, read_quantities
+from kinegraph.text.quantities import Quantity, read_quantities
 
 STANDING: Final = SemanticGraph(
     "a person stands still",
@@ -85,7 +85,7 @@ def interpret(graph: SemanticGraph, manifest: Manifest, seconds: float | None = 
     notes: list[str] = []
     lengths: dict[int, float] = {}  # by action
     wanted = graph
-    quantities = read_quantities(graph) if MAY_HOLD_QUANTITY.search(graph.caption) else ()
+    quantities = read_quantities(graph)
     for quantity in quantities:
         length, note = _spoken_seconds(quantity, manifest)
         notes += [] if note is None else [note]

@@ -52,21 +52,6 @@ def generate(args: argparse.Namespace) -> int:
     def make_clips(pipeline: MotionPipeline, on_step: OnStep) -> list[Clip]:
         graph = pipeline.parse(text_or_graph) if isinstance(text_or_graph, str) else text_or_graph
         graph = apply_edits(graph, args.edits)
-
-        def make_clip(seed: int | None, on_step: OnStep | None) -> Clip:
-            return pipeline.generate(
-                graph,
-                seconds=seconds,
-                seed=seed,
-                steps=sampling.steps,
-                guidance=sampling.guidance,
-                foot_fix=sampling.foot_fix,
-                strict=sampling.strict,
-                on_step=on_step,
-            )
-
-        if any(node.weight != 1 for node in graph.nodes):  # weighted graphs cannot share a run
-            return _make_one_by_one(make_clip, len(targets), sampling.seed, on_step)
         return pipeline.takes(
             graph,
             len(targets),
@@ -86,7 +71,7 @@ def compose(args: argparse.Namespace) -> int:
     """Run `kinegraph compose`: clips of several concepts, and a picture of their energies."""
     targets = _check_targets(args)
     if args.energy is not None:
-        _check_energy_target(args.energy, targets, args.force)
+        _check_picture_target(args.energy, targets, args.force)
     concepts = parse_concepts(args.positive, args.negated)
     sampling = SamplingOptions.from_args(args)
 
@@ -157,7 +142,7 @@ def sequence(args: argparse.Namespace) -> int:
 def _make_one_by_one(
     make_clip: Callable[[int | None, OnStep | None], Clip], count: int, seed: int | None, on_step: OnStep
 ) -> list[Clip]:
-    """Make clips of consecutive seeds that cannot share a run; without a seed the first clip draws one."""
+    """Make clips of consecutive seeds; without a seed the first clip draws one."""
     from kinegraph.diffusion.sampling import subrange_progress
 
     first = make_clip(seed, subrange_progress(on_step, 0, count))
@@ -181,13 +166,11 @@ def _check_targets(args: argparse.Namespace) -> list[Path]:
     return targets
 
 
-def _check_energy_target(path: Path, targets: Sequence[Path], force: bool) -> None:
+def _check_picture_target(path: Path, targets: Sequence[Path], force: bool) -> None:
     """Refuse a picture that cannot be written, or that is the same file as a clip."""
-    from kinegraph.files import check_target
-    from kinegraph.formats import check_installed
+    from kinegraph.formats.energy_png import check_energy_target
 
-    check_target(path, force, (".png",))
-    check_installed(".png")
+    check_energy_target(path, force)
     if path.resolve() in [target.resolve() for target in targets]:
         raise OutputError(f"--energy and -o name the same file {str(path)!r}; choose two")
 

@@ -24,6 +24,21 @@ BESIDE: Final = 0.05
 _OWN, _OTHERS = "#dc2626", "#fafafa"
 
 
+def check_energy_target(path: str | os.PathLike[str], force: bool = False) -> None:
+    """Refuse a path that energy maps could not be saved to, before anything is computed for it.
+
+    Args:
+        path: file to write, ending in `.png`.
+        force: whether an existing file may be replaced.
+
+    Raises:
+        OutputError: see `files.check_target`. Nothing has been written.
+        MissingExtraError: matplotlib is not installed.
+    """
+    check_target(path, force, (".png",))
+    check_installed(".png")
+
+
 def save_energy_maps(energies: EnergyMaps, path: str | os.PathLike[str], *, force: bool = False) -> None:
     """Write energy maps as a `.png`; the file appears complete or not at all.
 
@@ -36,8 +51,7 @@ def save_energy_maps(energies: EnergyMaps, path: str | os.PathLike[str], *, forc
         OutputError: the file cannot be written there; see `files.check_target`.
         MissingExtraError: matplotlib is not installed (`pip install "kinegraph[plot]"`).
     """
-    check_target(path, force, (".png",))
-    check_installed(".png")
+    check_energy_target(path, force)
     write_atomically(path, encode(energies), force=force)
 
 

@@ -28,7 +28,7 @@ from kinegraph.text import lexicon
 from kinegraph.text.argument_classifier import ArgumentCandidates, ArgumentClassifier, argument_candidates
 from kinegraph.text.dependency import DependencyParse, DependencyParser, ParsedTokens, Span, has_word
 from kinegraph.text.negation import mark_negations, negated_events
-from kinegraph.text.quantities import MAY_HOLD_QUANTITY, iterate_adverbial
+from kinegraph.text.quantities import iterate_adverbial
 from kinegraph.text.rules import (
     CONTENT_POS,
     PredicateFrame,
@@ -67,8 +67,7 @@ class GraphParser:
         check_caption(caption)
         parse = self.parse_dependencies(caption)
         frames = predicate_frames(parse)
-        if MAY_HOLD_QUANTITY.search(caption):
-            add_quantities(caption, parse, frames)
+        add_quantities(caption, parse, frames)
         if self._classifier is not None:
             for frame, candidates in zip(frames, frame_candidates(parse, frames), strict=True):
                 if frame.head.i not in parse.states:

@@ -108,7 +108,7 @@ _TENS: Final = {
     word: 10 * value
     for value, word in enumerate("twenty thirty forty fifty sixty seventy eighty ninety".split(), start=2)
 }
-MAY_HOLD_QUANTITY: Final = re.compile(
+_MAY_HOLD_QUANTITY: Final = re.compile(
     rf"\d|\b(?:half|quarter|twice|thrice|once|hundred|dozen|couple|minute|{'|'.join([*_ONES, *_TENS])})\b",
     re.IGNORECASE,
 )
@@ -133,7 +133,7 @@ _PLURAL_EVENTS: Final = frozenset(
 
 def find_quantities(text: str) -> list[FoundQuantity]:
     """Find the lengths and counts of a text, from left to right."""
-    if MAY_HOLD_QUANTITY.search(text) is None:
+    if _MAY_HOLD_QUANTITY.search(text) is None:
         return []
     words = [_Word(match.group().lower(), match.start(), match.end()) for match in _WORD.finditer(text)]
     found = []
