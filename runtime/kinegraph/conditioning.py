@@ -2,8 +2,9 @@
 
     caption --text encoder--> hidden states --means over spans--> node features --graph attention--> conditions
 
-Nodes are ordered motion, actions, specifics, so that the nodes which a level sees are a prefix. The features of a
-sentence also tell how long its clip should be, where the caller does not.
+Nodes are ordered motion, actions, specifics. The words of the caption stand behind them as nodes without neighbours: a
+mean over "both hands above the head" loses what its words say. The features of a sentence also tell how long its clip
+should be, where the caller does not.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ import onnxruntime
 from numpy.typing import NDArray
 
 from kinegraph.arrays import DoubleArray, FloatArray, IntArray
-from kinegraph.bundle.contract import NODE_KINDS, NULL_KIND, PADDING_BIAS
+from kinegraph.bundle.contract import KINDS, NULL_KIND, PADDING_BIAS, PARTIAL_KIND
 from kinegraph.bundle.manifest import Manifest
 from kinegraph.bundle.sessions import Sessions, run_model
 from kinegraph.bundle.tables import DURATION
@@ -25,7 +26,7 @@ from kinegraph.graph import MOTION_ACTION, OTHERS, ROLE_INDEX, SemanticGraph
 from kinegraph.options import GenerateOptions
 from kinegraph.text.tokenizer import CaptionTokenizer, TokenIds, span_mask
 
-MOTION, ACTION, SPECIFIC = range(len(NODE_KINDS))
+MOTION, ACTION, SPECIFIC, WORD = (KINDS[name] for name in ("motion", "action", "specific", "word"))
 NO_EDGE = -1
 
 
@@ -40,11 +41,18 @@ class GraphArrays:
     edge_weight: FloatArray
     """(N, N) symmetric, 1 on self-loops."""
     kind: IntArray
-    """(N,) index into `contract.NODE_KINDS`."""
+    """(N,) see `contract.KINDS`."""
     order: IntArray
-    """(N,) 0 for the motion node, else 1 + the order of the node's action."""
+    """(N,) 0 for the motion node, else 1 + the order of the node's action; a word has that of its node."""
     path_weight: FloatArray
-    """(N,) product of the edge weights from the motion node."""
+    """(N,) product of the edge weights from the motion node; a word has that of its node."""
+    owner: IntArray
+    """(N,) number of the node that a word hangs on; of a node its own."""
+
+    @property
+    def node_count(self) -> int:
+        """Number of nodes of the graph, without words."""
+        return int(np.count_nonzero(self.kind != WORD))
 
 
 @dataclass(frozen=True)
@@ -54,7 +62,7 @@ class Conditions:
     nodes: FloatArray
     """(A, N, D) after graph attention."""
     kind: IntArray
-    """(A, N) index into `contract.NODE_KINDS`."""
+    """(A, N) see `contract.KINDS`."""
     order: IntArray
     """(A, N) 0 for the motion node, else 1 + the order of the node's action."""
     bias: FloatArray
@@ -79,7 +87,8 @@ class ConditionEncoder:
 
     def encode_text(self, graphs: Sequence[SemanticGraph]) -> list[GraphArrays]:
         """Encode the captions of graphs and read their node features off the hidden states."""
-        return [encode_caption(self.sessions.text_encoder, self.tokenizer, graph) for graph in graphs]
+        words = any("word" in level.nodes for level in self.manifest.levels.values())
+        return [encode_caption(self.sessions.text_encoder, self.tokenizer, graph, words=words) for graph in graphs]
 
     def embed(self, sentences: Sequence[str]) -> FloatArray:
         """Encode sentences to (n, D), each of length 1, in one run; see `text.vocabulary.PhraseEncoder`.
@@ -125,7 +134,7 @@ class ConditionEncoder:
 
 
 def encode_caption(
-    text_encoder: onnxruntime.InferenceSession, tokenizer: CaptionTokenizer, graph: SemanticGraph
+    text_encoder: onnxruntime.InferenceSession, tokenizer: CaptionTokenizer, graph: SemanticGraph, *, words: bool
 ) -> GraphArrays:
     """Encode one caption and return its graph as arrays.
 
@@ -137,11 +146,13 @@ def encode_caption(
         text_encoder: session of the text encoder.
         tokenizer: of the same bundle.
         graph: whose caption is encoded.
+        words: whether the words of the caption stand beside the nodes.
     """
     tokens = tokenizer.encode(graph.caption)
     inputs = {"input_ids": np.array([tokens.ids]), "attention_mask": np.array([tokens.mask])}
     hidden, pooled = run_model(text_encoder, ["hidden", "pooled"], inputs, "the text encoder")
-    return node_features(graph, tokens, hidden[0], pooled[0])
+    nodes = node_features(graph, tokens, hidden[0], pooled[0])
+    return with_words(nodes, hidden[0], word_nodes(graph, tokens)) if words else nodes
 
 
 def node_features(graph: SemanticGraph, tokens: TokenIds, hidden: FloatArray, pooled: FloatArray) -> GraphArrays:
@@ -161,7 +172,65 @@ def node_features(graph: SemanticGraph, tokens: TokenIds, hidden: FloatArray, po
         pieces = span_mask(tokens.offsets, start, end)
         nodes.append(hidden[pieces].mean(axis=0) if pieces.any() else pooled)
     relation, weight, kind, order, path = graph_structure(graph)
-    return GraphArrays(np.stack(nodes).astype(np.float32), relation, weight, kind, order, path)
+    owner = np.arange(len(kind))
+    return GraphArrays(np.stack(nodes).astype(np.float32), relation, weight, kind, order, path, owner)
+
+
+def word_nodes(graph: SemanticGraph, tokens: TokenIds) -> IntArray:
+    """Find the node that each word piece hangs on: the one of the shortest span that holds it, else the motion node.
+
+    Args:
+        graph: of the caption.
+        tokens: its T word pieces with offsets.
+
+    Returns:
+        (T,) number of the node, -1 for special pieces.
+    """
+    nodes = np.where(tokens.offsets[:, 1] > tokens.offsets[:, 0], 0, -1)
+    spans = enumerate(node_spans(graph), start=1)
+    for node, (start, end) in sorted(spans, key=lambda entry: entry[1][0] - entry[1][1]):
+        nodes[span_mask(tokens.offsets, start, end)] = node
+    return nodes
+
+
+def with_words(graph: GraphArrays, hidden: FloatArray, nodes: IntArray) -> GraphArrays:
+    """Add the words of a caption behind the nodes of its graph; in graph attention each word sees itself alone.
+
+    Args:
+        graph: of the caption.
+        hidden: (T, D) hidden states of its word pieces.
+        nodes: (T,) of `word_nodes`.
+    """
+    pieces = np.flatnonzero(nodes >= 0)
+    owners = nodes[pieces]
+    count = len(graph.kind) + len(pieces)
+    relation = np.full((count, count), NO_EDGE, dtype=np.int64)
+    edge_weight = np.ones((count, count), dtype=np.float32)
+    np.fill_diagonal(relation, ROLE_INDEX[OTHERS])
+    size = len(graph.kind)
+    relation[:size, :size], edge_weight[:size, :size] = graph.relation, graph.edge_weight
+    return GraphArrays(
+        nodes=np.concatenate([graph.nodes, hidden[pieces]]).astype(np.float32),
+        relation=relation,
+        edge_weight=edge_weight,
+        kind=np.concatenate([graph.kind, np.full(len(pieces), WORD)]),
+        order=np.concatenate([graph.order, graph.order[owners]]),
+        path_weight=np.concatenate([graph.path_weight, graph.path_weight[owners]]),
+        owner=np.concatenate([graph.owner, owners]),
+    )
+
+
+def as_partial(graph: GraphArrays) -> GraphArrays:
+    """Say that a caption may name only a part of what happens: a learned token takes the sentence's place.
+
+    The concepts of a composition are told so (EnergyMoGen, Eq. 7-9): the motions of "walks" and nothing else, and of
+    "waves" and nothing else, have none in common.
+    """
+    kind, edge_weight = graph.kind.copy(), graph.edge_weight.copy()
+    kind[0] = PARTIAL_KIND
+    # Nothing of the sentence's own features may reach the nodes below it.
+    edge_weight[0, 1:] = edge_weight[1:, 0] = 0.0
+    return replace(graph, kind=kind, edge_weight=edge_weight)
 
 
 def node_spans(graph: SemanticGraph) -> list[tuple[int, int]]:
@@ -243,9 +312,10 @@ def for_level(conditions: Conditions, kinds: Sequence[str]) -> Conditions:
 
     Args:
         conditions: of all nodes.
-        kinds: names of the node kinds that the level sees, see `contract.NODE_KINDS`.
+        kinds: names of the kinds that the level sees, see `contract.NODE_KINDS`.
     """
-    seen = np.isin(conditions.kind, [NODE_KINDS.index(name) for name in kinds]) & (conditions.bias > PADDING_BIAS / 2)
+    seen = np.isin(conditions.kind, [KINDS[name] for name in kinds] + [PARTIAL_KIND])
+    seen &= conditions.bias > PADDING_BIAS / 2
     count = int(np.flatnonzero(seen.any(axis=0)).max(initial=0)) + 1
     bias = np.where(seen, conditions.bias, np.float32(PADDING_BIAS))
     nodes, kind, order = conditions.nodes[:, :count], conditions.kind[:, :count], conditions.order[:, :count]
@@ -279,7 +349,7 @@ def stack_rows(*batches: Conditions) -> Conditions:
 
 def duration_inputs(graph: GraphArrays) -> DoubleArray:
     """Gather the inputs of the duration model, (D + 3,): the sentence before graph attention, and three counts."""
-    counts = [np.count_nonzero(graph.kind == ACTION), len(graph.kind), 1]
+    counts = [np.count_nonzero(graph.kind == ACTION), graph.node_count, 1]
     return np.concatenate([graph.nodes[0].astype(np.float64), counts])
 
 

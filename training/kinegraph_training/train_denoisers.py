@@ -23,7 +23,7 @@ from torch import Tensor
 from torch.utils.data import DataLoader, WeightedRandomSampler
 
 from kinegraph.arrays import FloatArray
-from kinegraph.bundle.contract import LEVELS, NULL_KIND, PADDING_BIAS
+from kinegraph.bundle.contract import KINDS, LEVELS, PADDING_BIAS
 from kinegraph.bundle.tables import BONE_LENGTHS, DURATION
 from kinegraph.diffusion.sampling import NoiseSchedule
 from kinegraph_training.bundle_tables import common_bone_lengths, fit_duration, write_tables
@@ -96,23 +96,30 @@ class DenoiserModule(L.LightningModule):
         Returns:
             eps', (b, c, z).
         """
-        kinds = self.hierarchy.config.kinds_seen(level)
         denoiser = self.hierarchy.levels[level]
         # z_t = sqrt(alpha_t) z_0 + sqrt(1 - alpha_t) eps
         alpha = self.alphas[timestep][:, None, None]
         noisy = alpha.sqrt() * batch.latents[level] + (1 - alpha).sqrt() * noise
-        seen = (batch.graph.kind < kinds) | (batch.graph.kind == NULL_KIND)
-        bias = torch.where(seen, batch.node_bias, torch.full_like(batch.node_bias, PADDING_BIAS))
-        # A level that sees the motion node alone always sees it: with nothing to attend to, it would see the padding.
-        if kinds == 1:
-            bias = torch.where(batch.graph.kind == 0, torch.zeros_like(bias), bias)
         coarse = batch.coarse.get(level)
-        if coarse is not None:
-            bias = torch.cat([bias, batch.coarse_bias[:, None].expand(-1, coarse.shape[1])], dim=1)
-        context = denoiser.context(nodes, batch.graph.kind, batch.graph.order, coarse)
+        bias = self.context_bias(level, batch)
+        context = denoiser.context(nodes, batch.graph.kind, batch.graph.order, bias, coarse)
         modulation = denoiser.clock(timestep, batch.frames)
         predicted: Tensor = denoiser.step(noisy, modulation, context, bias[:, None, None, :]).float()
         return predicted
+
+    def context_bias(self, level: str, batch: DenoiserBatch) -> Tensor:
+        """Compute the bias (b, s) of the context tokens: PADDING_BIAS on what is hidden or not seen at this level."""
+        names = self.hierarchy.config.kinds_seen(level)
+        kind = batch.graph.kind
+        seen = torch.isin(kind, torch.tensor([KINDS[name] for name in (*names, "null", "partial")], device=kind.device))
+        bias = torch.where(seen, batch.node_bias, torch.full_like(batch.node_bias, PADDING_BIAS))
+        # A level that sees the motion node alone always sees it: with nothing to attend to, it would see the padding.
+        if names == ("motion",):
+            bias = torch.where(kind == KINDS["motion"], torch.zeros_like(bias), bias)
+        coarse = batch.coarse.get(level)
+        if coarse is None:
+            return bias
+        return torch.cat([bias, batch.coarse_bias[:, None].expand(-1, coarse.shape[1])], dim=1)
 
     def losses(self, batch: DenoiserBatch, generator: torch.Generator | None = None) -> dict[str, Tensor]:
         """Compute the loss of every level, (b,), and under "swing" the spectral loss, one number.

@@ -29,11 +29,19 @@ AGD_CONTEXTS: Final[Mapping[str, str]] = {level: f"context_{level}_agd" for leve
 AGD_DENOISERS: Final[Mapping[str, str]] = {level: f"step_{level}_agd" for level in LEVELS}
 """Level -> denoiser with adaptive gradient descent (EnergyMoGen, Eq. 3, 4); a bundle has all `*_agd` graphs or none."""
 
-NODE_KINDS: Final[tuple[str, ...]] = ("motion", "action", "specific")
-"""The index of a kind is its number in the `kind` input of a context graph."""
+KINDS: Final[Mapping[str, int]] = {"motion": 0, "action": 1, "specific": 2, "null": 3, "word": 4, "partial": 5}
+"""Kind of a context token -> its number in the `kind` input of a context graph.
 
-NULL_KIND: Final = 3
-"""`kind` of the learned null token of unconditional rows; its node features are ignored."""
+Motion, action and specific are nodes of the graph (GraphMotion, 3.1), a word is one word piece of the caption beside
+them. Null is the learned token of unconditional rows, and partial a learned token in the sentence's place, for a
+caption that may name only a part of what happens; the features of both are ignored.
+"""
+
+NODE_KINDS: Final[tuple[str, ...]] = ("motion", "action", "specific", "word")
+"""Kinds that a level may attend to, in the order of their numbers."""
+
+NULL_KIND: Final = KINDS["null"]
+PARTIAL_KIND: Final = KINDS["partial"]
 
 MODULATIONS: Final = 6
 """Per layer of a denoiser: scale and shift before self-attention, before cross-attention and before feed-forward."""

@@ -67,7 +67,7 @@ class CaptionEncoder:
     def encode(self, caption: str | SemanticGraph) -> GraphArrays:
         """Parse a caption, unless it is a graph already, and encode its graph."""
         graph = caption if isinstance(caption, SemanticGraph) else self.parser.parse(caption)
-        return encode_caption(self.session, self.tokenizer, graph)
+        return encode_caption(self.session, self.tokenizer, graph, words=True)
 
     def hidden_states(self, caption: str) -> NDArray[np.float32]:
         """Encode a caption to the hidden states (T, D) of its word pieces."""
@@ -91,6 +91,8 @@ class CaptionGraphs:
     """(rows,) see `GraphArrays`."""
     order: NDArray[np.int64]
     """(rows,) see `GraphArrays`."""
+    owner: NDArray[np.int64]
+    """(rows,) see `GraphArrays`."""
     relation: list[NDArray[np.int64]]
     """Per caption (N, N)."""
 
@@ -106,6 +108,7 @@ class CaptionGraphs:
             kind=self.kind[rows],
             order=self.order[rows],
             path_weight=np.ones(count, dtype=np.float32),
+            owner=self.owner[rows],
         )
 
 
@@ -146,6 +149,7 @@ def encode_graphs(captions: Sequence[str], assets: Path, cache: Path, *, verbs_m
         "nodes": np.concatenate([graph.nodes for graph in ordered]).astype(np.float16),
         "kind": np.concatenate([graph.kind for graph in ordered]),
         "order": np.concatenate([graph.order for graph in ordered]),
+        "owner": np.concatenate([graph.owner for graph in ordered]),
         "relation": np.concatenate([graph.relation.ravel() for graph in ordered]).astype(np.int8),
     }
     cache.parent.mkdir(parents=True, exist_ok=True)
@@ -159,7 +163,8 @@ def _read_cache(cache: Path, origin: str) -> CaptionGraphs | None:
     if not cache.is_file():
         return None
     with np.load(cache, allow_pickle=False) as stored:
-        return _unpack(dict(stored)) if "origin" in stored and str(stored["origin"]) == origin else None
+        known = {"origin", "owner"} <= set(stored) and str(stored["origin"]) == origin
+        return _unpack(dict(stored)) if known else None
 
 
 def _encode_chunk(assets: Path, verbs_masked: bool, captions: Sequence[str]) -> list[GraphArrays]:
@@ -191,6 +196,7 @@ def _unpack(packed: dict[str, np.ndarray]) -> CaptionGraphs:
         nodes=packed["nodes"],
         kind=packed["kind"].astype(np.int64),
         order=packed["order"].astype(np.int64),
+        owner=packed["owner"].astype(np.int64),
         relation=[flat.reshape(size, size) for flat, size in zip(relations, sizes, strict=True)],
     )
 
@@ -225,6 +231,7 @@ def tokens_as_graph(hidden: NDArray[np.float32]) -> GraphArrays:
         kind=np.full(count, MOTION, dtype=np.int64),
         order=np.zeros(count, dtype=np.int64),
         path_weight=np.ones(count, dtype=np.float32),
+        owner=np.arange(count),
     )
 
 

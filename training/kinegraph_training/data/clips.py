@@ -36,6 +36,7 @@ class MotionClip:
     joints: FloatArray
     """(frames, 22, 3) metres at 20 frames per second, starting at the origin facing +Z."""
     captions: tuple[str, ...]
+    """Sentences, each of all that the clip shows."""
     actions: tuple[str, ...]
     """Label of each action it shows; none where the data has no labels."""
     style: str
@@ -45,6 +46,10 @@ class MotionClip:
     """Number of steps taken, where the index counts them."""
     any_length: bool = False
     """Whether its length was drawn at random, and so says nothing of how long its captions usually take."""
+    partial_captions: tuple[str, ...] = ()
+    """Sentences, each of a part of what the clip shows: one of several actions at once."""
+    made_by: str = ""
+    """What made it, of `dataset.SHARES`; "" where it was recorded."""
 
     @property
     def action(self) -> str:
@@ -78,6 +83,7 @@ def mirrored_clip(clip: MotionClip) -> MotionClip:
         id=f"{clip.id}~mirror",
         joints=mirrored(clip.joints),
         captions=tuple(mirrored_caption(caption) for caption in clip.captions),
+        partial_captions=tuple(mirrored_caption(caption) for caption in clip.partial_captions),
         actions=tuple(mirrored_label(action) for action in clip.actions),
     )
 

@@ -72,7 +72,8 @@ def write_data(out: Path, clips: Sequence[PreparedClip], fps: float) -> None:
     except OSError as error:
         raise OutputError(f"{out} cannot be made ({error.strerror}); choose another folder") from error
     for split in SPLITS:
-        write_atomically(out / f"{split}.npz", _pack([clip for clip in clips if clip.split == split], fps))
+        members = [(clip.id, clip.joints) for clip in clips if clip.split == split]
+        write_atomically(out / f"{split}.npz", pack_clips(members, fps))
     captions = [{"id": clip.id, "split": clip.split, "captions": list(clip.captions)} for clip in clips]
     rate = int(fps) if fps == int(fps) else fps
     index = [
@@ -86,19 +87,20 @@ def write_data(out: Path, clips: Sequence[PreparedClip], fps: float) -> None:
         }
         for clip in clips
     ]
-    write_atomically(out / "captions.jsonl", _lines(captions))
-    write_atomically(out / "index.jsonl", _lines(index))
+    write_atomically(out / "captions.jsonl", to_json_lines(captions))
+    write_atomically(out / "index.jsonl", to_json_lines(index))
 
 
-def _pack(clips: Sequence[PreparedClip], fps: float) -> bytes:
-    joints = np.concatenate([np.zeros((0, JOINTS, 3)), *(clip.joints.astype(np.float64) for clip in clips)])
+def pack_clips(clips: Sequence[tuple[str, FloatArray]], fps: float) -> bytes:
+    """Pack clips, given as id and joints (frames, 22, 3), into the .npz of a split."""
+    joints = np.concatenate([np.zeros((0, JOINTS, 3)), *(joints.astype(np.float64) for _, joints in clips)])
     root = joints[:, PELVIS, [0, 2]].astype(np.float32)
     joints[..., [0, 2]] -= root[:, None].astype(np.float64)
     buffer = io.BytesIO()
     np.savez_compressed(
         buffer,
-        ids=np.array([clip.id for clip in clips], dtype=np.str_),
-        offsets=np.cumsum([0, *(len(clip.joints) for clip in clips)], dtype=np.int64),
+        ids=np.array([name for name, _ in clips], dtype=np.str_),
+        offsets=np.cumsum([0, *(len(joints) for _, joints in clips)], dtype=np.int64),
         joints=np.round(joints / STEP_METRES).astype(np.int16),
         root_xz=root,
         scale=np.float32(STEP_METRES),
@@ -107,7 +109,8 @@ def _pack(clips: Sequence[PreparedClip], fps: float) -> bytes:
     return buffer.getvalue()
 
 
-def _lines(rows: Sequence[Mapping[str, Any]]) -> bytes:
+def to_json_lines(rows: Sequence[Mapping[str, Any]]) -> bytes:
+    """Encode rows as JSON lines."""
     return "".join(json.dumps(row, ensure_ascii=False) + "\n" for row in rows).encode()
 
 

@@ -16,9 +16,10 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
-from kinegraph.bundle.contract import LEVELS, MODULATIONS, NODE_KINDS, NULL_KIND
+from kinegraph.bundle.contract import KINDS, LEVELS, MODULATIONS, NODE_KINDS, NULL_KIND, PARTIAL_KIND
 from kinegraph.errors import InvalidInputError
 from kinegraph_training.models.transformer import (
+    EncoderLayer,
     FeedForward,
     SelfAttention,
     SkipStack,
@@ -54,6 +55,10 @@ class DenoiserConfig:
     """Whether graph attention (GraphMotion, Eq. 1-3) runs over the nodes first."""
     nodes_seen: str = "level"
     """Nodes of the graph that a level attends to: those of its "level" and the coarser ones, or "all"."""
+    words: bool = False
+    """Whether the words of the caption stand beside the nodes, at every level."""
+    context_layers: int = 0
+    """Layers of self-attention among the context tokens, once per sample; as wide as the denoiser."""
     levels: tuple[str, ...] = LEVELS
     """Coarse to fine; ("specific",) alone is one-stage latent diffusion."""
 
@@ -71,11 +76,15 @@ class DenoiserConfig:
         if not self.levels or self.levels[-1] != LEVELS[-1] or self.levels != tuple(known):
             raise InvalidInputError(f"levels must be some of {', '.join(LEVELS)}, in order, up to the last one")
 
-    def kinds_seen(self, level: str) -> int:
-        """Return k, where a level sees nodes of kinds 0 .. k-1; all tokens of a caption have kind 0."""
+    def kinds_seen(self, level: str) -> tuple[str, ...]:
+        """Return the kinds of tokens that a level sees, see `contract.NODE_KINDS`.
+
+        All tokens of a caption without a graph are of the motion kind.
+        """
         if self.condition != "graph":
-            return 1
-        return len(NODE_KINDS) if self.nodes_seen == "all" else LEVELS.index(level) + 1
+            return NODE_KINDS[:1]
+        nodes = NODE_KINDS[:3] if self.nodes_seen == "all" else NODE_KINDS[: LEVELS.index(level) + 1]
+        return (*nodes, "word") if self.words else nodes
 
 
 @dataclass(frozen=True)
@@ -97,37 +106,51 @@ class RowMixing:
 
 
 class ContextTokens(nn.Module):
-    """Embedding of nodes and of the coarser latent as normalised tokens of model width."""
+    """Embedding of nodes, words and the coarser latent as tokens of model width that have seen one another."""
 
     def __init__(self, config: DenoiserConfig, coarse: LatentShape | None) -> None:
         super().__init__()
         width = config.width
         self.last_order = config.max_order - 1
         self.node_in = nn.Linear(config.text_width, width)
-        self.kind = nn.Embedding(len(NODE_KINDS) + 1, width)
+        self.kind = nn.Embedding(len(KINDS), width)
         self.order = nn.Embedding(config.max_order, width)
         self.coarse_in = nn.Linear(coarse.width, width) if coarse else None
         self.coarse_position = nn.Parameter(torch.randn(coarse.tokens, width) * 0.02) if coarse else None
         self.norm = nn.LayerNorm(width)
+        self.mixing = nn.ModuleList(
+            EncoderLayer(width, config.heads, 2 * width, config.dropout) for _ in range(config.context_layers)
+        )
+        for layer in self.mixing:
+            # A new layer changes nothing, so that training may start from weights without it.
+            for out in (layer.self_attention.out, layer.feed[-1]):
+                nn.init.zeros_(out.weight)
+                nn.init.zeros_(out.bias)
 
-    def forward(self, nodes: Tensor, kind: Tensor, order: Tensor, coarse: Tensor | None = None) -> Tensor:
-        """Embed nodes and the coarser latent; a node of kind NULL_KIND is the null token, whatever its features.
+    def forward(self, nodes: Tensor, kind: Tensor, order: Tensor, bias: Tensor, coarse: Tensor | None = None) -> Tensor:
+        """Embed nodes, words and the coarser latent, and let them attend to one another.
+
+        Tokens of kind NULL_KIND and PARTIAL_KIND are learned, whatever their features.
 
         Args:
             nodes: (a, n, D).
             kind: (a, n).
             order: (a, n).
+            bias: (a, s) log path weight of every token; PADDING_BIAS hides one, as in the denoiser's own attention.
             coarse: (a, c', z) latent of the level above; None at the first level.
 
         Returns:
             (a, s, d).
         """
-        has_text = (kind != NULL_KIND).to(nodes.dtype)[..., None]
+        has_text = ((kind != NULL_KIND) & (kind != PARTIAL_KIND)).to(nodes.dtype)[..., None]
         context = self.node_in(nodes) * has_text + self.kind(kind)
         context = context + self.order(order.clamp(max=self.last_order)) * has_text
         if self.coarse_in is not None:
             context = torch.cat([context, self.coarse_in(coarse) + self.coarse_position], dim=1)
-        return self.norm(context)
+        context = self.norm(context)
+        for layer in self.mixing:
+            context = layer(context, bias[:, None, None, :])
+        return context
 
 
 class ContextEncoder(ContextTokens):
@@ -139,10 +162,10 @@ class ContextEncoder(ContextTokens):
         self.key_value = nn.ModuleList(nn.Linear(config.width, 2 * config.width) for _ in range(config.layers))
 
     def forward(  # type: ignore[override]
-        self, nodes: Tensor, kind: Tensor, order: Tensor, coarse: Tensor | None = None
+        self, nodes: Tensor, kind: Tensor, order: Tensor, bias: Tensor, coarse: Tensor | None = None
     ) -> KeyValue:
         """Compute key and value (a, h, s, d/h) of every layer; arguments as in `ContextTokens.forward`."""
-        context = super().forward(nodes, kind, order, coarse)
+        context = super().forward(nodes, kind, order, bias, coarse)
         pairs = (layer(context).chunk(2, dim=-1) for layer in self.key_value)
         return [(split_heads(key, self.heads), split_heads(value, self.heads)) for key, value in pairs]
 
