@@ -20,8 +20,7 @@ from typing import Any, Final
 
 from kinegraph.errors import InvalidInputError, KinegraphError
 from kinegraph.files import write_atomically
-from kinegraph.motion.skeleton import canonicalise
-from kinegraph_training.data.clips import AT_ONCE, IN_ORDER, MotionClip, read_jsonl, read_split
+from kinegraph_training.data.clips import AT_ONCE, IN_ORDER, MotionClip, read_jsonl, read_split, start_at_origin
 from kinegraph_training.data.common_skeleton import rest_directions, to_common_skeleton
 from kinegraph_training.data.folder import pack_clips, to_json_lines
 from kinegraph_training.synthetic.action_table import ActionTable, read_action_table
@@ -87,7 +86,7 @@ def read_folder(folder: Path) -> list[SourceClip]:
 
 def convert(source: SourceClip, rests: dict[int, Any], table: ActionTable) -> SourceClip:
     """Bring a clip to the common skeleton, and its label to the names of the action table."""
-    joints = canonicalise(to_common_skeleton(source.clip.joints, rests))
+    joints = start_at_origin(to_common_skeleton(source.clip.joints, rests))
     label = next((str(source.row[key]) for key in LABEL_KEYS if source.row.get(key)), "")
     separator = IN_ORDER if IN_ORDER in label else AT_ONCE
     # A label that the table does not know, such as one of several activities, says no more than the captions do.

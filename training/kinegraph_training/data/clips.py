@@ -16,7 +16,7 @@ import numpy as np
 
 from kinegraph.arrays import FloatArray
 from kinegraph.errors import InvalidInputError
-from kinegraph.motion.skeleton import mirrored
+from kinegraph.motion.skeleton import HORIZONTAL, PELVIS, facing_angle, mirrored
 
 AT_ONCE: Final = "+"
 IN_ORDER: Final = ">"
@@ -69,6 +69,15 @@ def _opposite(match: re.Match[str]) -> str:
     if word.isupper():
         return other.upper()
     return other.capitalize() if word[0].isupper() else other
+
+
+def start_at_origin(joints: FloatArray) -> FloatArray:
+    """Move and turn a clip over the floor so that it starts at x = z = 0 and faces +Z; heights stay."""
+    moved = joints - joints[0, PELVIS] * HORIZONTAL.astype(np.float32)
+    heading = float(facing_angle(moved[:1])[0])
+    cos, sin = np.cos(heading), np.sin(heading)
+    x, y, z = moved[..., 0], moved[..., 1], moved[..., 2]
+    return np.stack([cos * x - sin * z, y, sin * x + cos * z], axis=-1).astype(np.float32)
 
 
 def mirrored_label(label: str) -> str:
