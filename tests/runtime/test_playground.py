@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import json
 import os
 import signal
+import socket
 import subprocess
 import sys
 import threading
 import time
 from contextlib import ExitStack
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -18,13 +21,14 @@ import kinegraph
 from kinegraph import MotionPipeline, cli
 from kinegraph.errors import Cancelled
 from support.cli_runs import fails
-from support.playground import REQUEST, TEXT, PlaygroundClient
+from support.playground import REQUEST, TEXT, PlaygroundClient, running_playground
 
 pytest.importorskip("spacy")
 pytest.importorskip("starlette")
 pytest.importorskip("uvicorn")
 
 from kinegraph.playground.fair_queue import MAX_PER_TAB
+from kinegraph.playground.guards import UNEXPECTED
 
 RUNTIME = Path(kinegraph.__file__).resolve().parents[1]
 LONG = {**REQUEST, "seconds": 9.8, "steps": 900}
@@ -146,6 +150,71 @@ def test_a_reader_who_leaves_stops_the_clip(
     with server.events(LONG, tab="first"), server.events(LONG, tab="second"):
         time.sleep(0.1)
     assert server.clip(REQUEST, tab="third")[-1]["event"] == "clip"
+
+
+def test_who_leaves_a_file_stops_its_clip(
+    server: PlaygroundClient, pipe: MotionPipeline, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    started, stopped = threading.Event(), threading.Event()
+    generate = pipe.generate
+
+    def watched(*arguments: Any, **options: Any) -> Any:
+        started.set()
+        try:
+            return generate(*arguments, **options)
+        except Cancelled:
+            stopped.set()
+            raise
+
+    monkeypatch.setattr(pipe, "generate", watched)
+    body = json.dumps({"wish": LONG, "suffix": ".npz"}).encode()
+    head = f"POST /api/file HTTP/1.1\r\nHost: 127.0.0.1:{server.port}\r\nContent-Type: application/json\r\n"
+    request = f"{head}Content-Length: {len(body)}\r\n\r\n".encode() + body
+    with socket.create_connection(("127.0.0.1", server.port)) as working:
+        working.sendall(request)
+        assert started.wait(10)
+        with socket.create_connection(("127.0.0.1", server.port)) as waiting:
+            waiting.sendall(request)
+            time.sleep(0.1)
+        started.clear()
+        assert not stopped.is_set()
+    assert stopped.wait(5)
+    assert server.clip(REQUEST, tab="other")[-1]["event"] == "clip"
+    assert caplog.records == []
+
+
+@pytest.mark.parametrize(
+    ("error", "said"), [(RuntimeError("made to fail"), "made to fail"), (ZeroDivisionError("ours"), UNEXPECTED)]
+)
+def test_a_clip_that_fails_is_told_in_the_stream_and_for_a_file(
+    toy: MotionPipeline, monkeypatch: pytest.MonkeyPatch, error: Exception, said: str
+) -> None:
+    """A session's error has a type and a message; one that nobody foresaw is logged, and the client is told so."""
+
+    def fail(*_: Any) -> Any:
+        raise error
+
+    class Failing:
+        run = staticmethod(fail)
+
+    pipeline = toy.with_sessions(replace(toy.sampler.sessions, decoder=Failing()))
+    if said == UNEXPECTED:
+        monkeypatch.setattr(pipeline, "generate", fail)
+    with running_playground(pipeline) as server:
+        *others, last = server.clip(REQUEST)
+        assert last["event"] == "error" and said in last["message"] and "clip" not in [each["event"] for each in others]
+        response = server.post("/api/file", {"wish": REQUEST, "suffix": ".npz"})
+        assert response.status == 500 and said in response.json["error"]
+
+
+def test_a_reader_who_does_not_read_holds_nobody_up(toy: MotionPipeline) -> None:
+    with running_playground(toy) as server, ExitStack() as open_streams:
+        for number in range(4):
+            open_streams.enter_context(server.events(REQUEST, f"slow {number}"))  # and reads nothing more
+        start = time.monotonic()
+        assert server.clip(REQUEST, tab="quick")[-1]["event"] == "clip"
+        assert server.send("GET", "/").status == 200
+        assert time.monotonic() - start < 10
 
 
 def test_a_second_tab_is_not_starved_by_the_first(server: PlaygroundClient) -> None:
