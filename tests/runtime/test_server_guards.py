@@ -6,6 +6,7 @@ The application behind them is none of the playground's, so any server may stand
 from __future__ import annotations
 
 import contextlib
+import errno
 import logging
 import os
 import socket
@@ -182,6 +183,32 @@ def test_a_chunked_body_beyond_the_limit_is_not_read_into_memory(plain: Guarded,
     finally:
         tracemalloc.stop()
     assert sent < 50_000_000 and peak < 5_000_000
+
+
+@pytest.mark.parametrize("start", [b"", b"Content-Length: 60000\r\n"])
+def test_a_body_in_crumbs_is_cut(plain: Guarded, start: bytes) -> None:
+    """Each chunk costs the same, however small; beside a wrong length they are not even a body."""
+    began = time.monotonic()
+    crumbs = HEAD + start + b"Transfer-Encoding: chunked\r\n\r\n" + b"1\r\nx\r\n" * 40_000
+    assert status(plain.ask(crumbs)) in (0, 400)
+    assert time.monotonic() - began < 2
+    assert status(plain.ask(QUICK)) == 200
+
+
+def test_too_few_files_make_room_like_too_many_connections(monkeypatch: pytest.MonkeyPatch) -> None:
+    with guarded(ServerLimits()) as server, ExitStack() as held:
+        for _ in range(3):
+            held.enter_context(server.connect()).sendall(HEAD)
+        assert wait_until(lambda: server.open_connections == 3)
+        accept = socket.socket.accept
+
+        def accept_few(listener: socket.socket) -> Any:
+            if server.open_connections >= 3:
+                raise OSError(errno.EMFILE, "too many open files")
+            return accept(listener)
+
+        monkeypatch.setattr(socket.socket, "accept", accept_few)
+        assert [status(server.ask(QUICK)) for _ in range(3)] == [200] * 3
 
 
 def test_who_sends_a_little_too_much_sees_why(plain: Guarded) -> None:

@@ -8,6 +8,7 @@ waiting (for a head, a body, or for the client to read) or is being served. Only
 from __future__ import annotations
 
 import asyncio
+import errno
 import math
 import socket
 from typing import Any, Final
@@ -23,7 +24,9 @@ CHECK_SECONDS: Final = 0.25
 LINGER_SECONDS: Final = 2.0
 """Time beyond that of its body in which a client may finish sending what is not read, so that it sees the answer."""
 MOST_FRAMING: Final = 16
-"""A body in chunks of one byte is six times as long on the wire; beyond this many times the limit, sending is cut."""
+"""So many times the limit of a body may come for one request, read or not; beyond it the connection is cut."""
+MOST_LINES: Final = 4096
+"""Lines of one request on the wire. A chunk has two: a body in chunks of one byte costs 10 microseconds a byte."""
 
 FIRST_SECONDS: Final = 0.1
 """Time that each new client has to ask, however many others wait."""
@@ -85,7 +88,9 @@ class GuardedServer(uvicorn.Server):
             try:
                 connection, _ = await loop.sock_accept(listener)
                 await loop.connect_accepted_socket(self._new_protocol, connection)
-            except OSError:  # the client has left again, or this process has too many files open
+            except OSError as error:  # the client has left again, or there are too many open files for one more
+                if error.errno in (errno.EMFILE, errno.ENFILE):
+                    self._end_longest()
                 await asyncio.sleep(ROOM_SECONDS)
 
     def _new_protocol(self) -> asyncio.Protocol:
@@ -93,15 +98,19 @@ class GuardedServer(uvicorn.Server):
         return GuardedProtocol(self.config, state, lifespan, limits=self._limits)
 
     async def _wait_for_room(self) -> None:
-        """Wait until one more connection fits; one that has kept the server waiting longest may be ended for it."""
-        now = asyncio.get_running_loop().time
-        connections: set[Any] = self.server_state.connections
-        while len(connections) >= self._limits.connections:
-            longest = min(connections, key=lambda other: other.waiting_since)
-            if now() - longest.waiting_since > FIRST_SECONDS:
-                longest.drop()
-            else:
+        """Wait until one more connection fits; the one that has kept the server waiting longest may be ended for it."""
+        while len(self.server_state.connections) >= self._limits.connections:
+            if not self._end_longest():
                 await asyncio.sleep(ROOM_SECONDS)
+
+    def _end_longest(self) -> bool:
+        """End the connection that has kept the server waiting longest, unless it is quite new; return whether."""
+        connections: set[Any] = self.server_state.connections
+        longest = min(connections, key=lambda other: other.waiting_since, default=None)
+        if longest is None or longest.loop.time() - longest.waiting_since <= FIRST_SECONDS:
+            return False
+        longest.drop()
+        return True
 
 
 class GuardedProtocol(H11Protocol):
@@ -114,7 +123,8 @@ class GuardedProtocol(H11Protocol):
         """Request, and what of it the server waits for; None while the request is served."""
         self._since = 0.0
         """Loop time at which that began."""
-        self._body_bytes = 0
+        self._bytes = self._lines = 0
+        """Received since then."""
         self._timer: asyncio.TimerHandle | None = None
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
@@ -133,11 +143,11 @@ class GuardedProtocol(H11Protocol):
         if self._awaited is None:
             self.cycle.keep_alive = False
             return
-        if self._awaited[1] == "body":
-            self._body_bytes += len(data)
-            if self._body_bytes > MOST_FRAMING * self._limits.body:
-                self.drop()
-                return
+        self._bytes += len(data)
+        self._lines += data.count(b"\n")
+        if self._bytes > MOST_FRAMING * self._limits.body or self._lines > MOST_LINES:
+            self.drop()
+            return
         super().data_received(data)
         self._follow()
         if self._awaited is None and self.conn.trailing_data[0]:
@@ -187,7 +197,8 @@ class GuardedProtocol(H11Protocol):
         """Note what the server waits for, and since when."""
         awaited = self._what_is_awaited()
         if awaited != self._awaited:
-            self._awaited, self._since, self._body_bytes = awaited, self.loop.time(), 0
+            self._awaited, self._since = awaited, self.loop.time()
+            self._bytes = self._lines = 0
 
     def _what_is_awaited(self) -> tuple[object, str] | None:
         if self.transport.is_closing() or self.flow.write_paused:
