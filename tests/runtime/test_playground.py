@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import asyncio
+import gc
 import json
 import os
 import signal
@@ -10,6 +12,7 @@ import subprocess
 import sys
 import threading
 import time
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
@@ -27,8 +30,10 @@ pytest.importorskip("spacy")
 pytest.importorskip("starlette")
 pytest.importorskip("uvicorn")
 
+from kinegraph.playground import jobs
+from kinegraph.playground.app import Playground, application
 from kinegraph.playground.fair_queue import MAX_PER_TAB
-from kinegraph.playground.guards import UNEXPECTED
+from kinegraph.playground.guards import UNEXPECTED, ServerLimits
 
 RUNTIME = Path(kinegraph.__file__).resolve().parents[1]
 LONG = {**REQUEST, "seconds": 9.8, "steps": 900}
@@ -215,6 +220,48 @@ def test_a_reader_who_does_not_read_holds_nobody_up(toy: MotionPipeline) -> None
         assert server.clip(REQUEST, tab="quick")[-1]["event"] == "clip"
         assert server.send("GET", "/").status == 200
         assert time.monotonic() - start < 10
+
+
+def test_a_reader_who_stops_reading_and_leaves_stops_the_clip(toy: MotionPipeline) -> None:
+    """Even where the server was waiting to write, and no garbage is collected."""
+
+    async def body() -> None:
+        playground = Playground(toy)
+        data = json.dumps({**LONG, "text": "a person walks"}).encode()
+        messages = [{"type": "http.request", "body": data, "more_body": False}]
+        writing = asyncio.Event()
+
+        async def receive() -> Any:
+            if messages:
+                return messages.pop()
+            await writing.wait()
+            return {"type": "http.disconnect"}
+
+        async def send(message: Any) -> None:
+            if message["type"] == "http.response.body":
+                writing.set()
+                await asyncio.sleep(1000)
+
+        headers = [(b"host", b"localhost:1"), (b"content-type", b"application/json")]
+        scope = {"type": "http", "method": "POST", "path": "/api/clip", "query_string": b"", "headers": headers}
+        await application(playground, 1, ServerLimits())(scope, receive, send)
+        await asyncio.wait_for(asyncio.gather(*playground._jobs, return_exceptions=True), 10)
+
+    gc.disable()
+    try:
+        with ThreadPoolExecutor(1) as thread:  # a browser of another test keeps an event loop running in this one
+            thread.submit(lambda: asyncio.run(asyncio.wait_for(body(), 20))).result()
+    finally:
+        gc.enable()
+
+
+def test_a_clip_has_a_limit_of_time(toy: MotionPipeline, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(jobs, "MAX_SECONDS", 0.05)
+    with running_playground(toy) as server:
+        last = server.clip(LONG)[-1]
+        assert last["event"] == "error" and "a clip may take 0.05 seconds" in last["message"]
+        response = server.post("/api/file", {"wish": LONG, "suffix": ".npz"})
+        assert response.status == 503 and "fewer steps" in response.json["error"]
 
 
 def test_a_second_tab_is_not_starved_by_the_first(server: PlaygroundClient) -> None:

@@ -7,7 +7,7 @@ import json
 import logging
 import re
 import threading
-from collections.abc import AsyncIterator, Callable
+from collections.abc import AsyncGenerator, Callable
 from typing import Any, Final, TypeVar
 
 from starlette.applications import Starlette
@@ -24,8 +24,8 @@ from kinegraph.formats.html import content_security_policy, render_page
 from kinegraph.graph import ARGUMENT_ROLES
 from kinegraph.pipeline import MotionPipeline
 from kinegraph.playground.fair_queue import FairQueue, TooBusyError
-from kinegraph.playground.guards import UNEXPECTED, RequestGuard, ServerLimits, run_until_left
-from kinegraph.playground.jobs import GenerationJob, generate_clip
+from kinegraph.playground.guards import UNEXPECTED, Receive, RequestGuard, Scope, Send, ServerLimits, run_until_left
+from kinegraph.playground.jobs import GenerationJob, TookTooLongError, generate_clip
 from kinegraph.playground.middleware import LoopbackOnlyMiddleware
 from kinegraph.playground.schemas import (
     ClipRequest,
@@ -98,7 +98,7 @@ class Playground:
         """
         clip_request, tab = parse_clip_request(parse_json(await request.body())), _tab(request)
         self._clip_queue.check_room(tab)
-        return StreamingResponse(self._events(clip_request, tab), media_type="application/x-ndjson")
+        return _EventStream(self._events(clip_request, tab), media_type="application/x-ndjson")
 
     async def file(self, request: Request) -> Response:
         """Generate the clip of {wish, suffix, names} and answer with the file, as the command line writes it.
@@ -118,7 +118,7 @@ class Playground:
         data = await run_until_left(make_in_turn(), request.receive)
         return Response(data, media_type=FILES[wanted.suffix])
 
-    async def _events(self, clip_request: ClipRequest, tab: str) -> AsyncIterator[str]:
+    async def _events(self, clip_request: ClipRequest, tab: str) -> AsyncGenerator[str]:
         """Run a job and yield its events as lines; closing the iterator cancels the job."""
         events: asyncio.Queue[dict[str, Any] | None] = asyncio.Queue()
         job = asyncio.create_task(self._run_job(clip_request, tab, events))
@@ -150,6 +150,18 @@ class Playground:
             send({"event": "error", "message": UNEXPECTED})
         finally:
             send(None)  # the same way as the events of the thread, and so behind them
+
+
+class _EventStream(StreamingResponse):
+    """Stream that closes its iterator however it ends; by itself it may leave that to the garbage collector."""
+
+    body_iterator: AsyncGenerator[str]
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        try:
+            await super().__call__(scope, receive, send)
+        finally:
+            await self.body_iterator.aclose()
 
 
 async def _run_in_thread(work: Callable[[threading.Event], T]) -> T:
@@ -189,7 +201,13 @@ def _page_facts(pipeline: MotionPipeline) -> dict[str, Any]:
 
 async def _answer_error(request: Request, error: Exception) -> Response:
     """Answer a KinegraphError with a status and one sentence; `RequestGuard` answers any other exception."""
-    status = 503 if isinstance(error, TooBusyError) else 400 if isinstance(error, InvalidInputError) else 500
+    status = (
+        503
+        if isinstance(error, TooBusyError | TookTooLongError)
+        else 400
+        if isinstance(error, InvalidInputError)
+        else 500
+    )
     headers = {"Retry-After": "2"} if status == 503 else None
     return JSONResponse({"error": " ".join(str(error).split())}, status, headers)
 
