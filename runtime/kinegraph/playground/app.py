@@ -201,13 +201,8 @@ def _page_facts(pipeline: MotionPipeline) -> dict[str, Any]:
 
 async def _answer_error(request: Request, error: Exception) -> Response:
     """Answer a KinegraphError with a status and one sentence; `RequestGuard` answers any other exception."""
-    status = (
-        503
-        if isinstance(error, TooBusyError | TookTooLongError)
-        else 400
-        if isinstance(error, InvalidInputError)
-        else 500
-    )
+    busy = isinstance(error, TooBusyError | TookTooLongError)
+    status = 503 if busy else 400 if isinstance(error, InvalidInputError) else 500
     headers = {"Retry-After": "2"} if status == 503 else None
     return JSONResponse({"error": " ".join(str(error).split())}, status, headers)
 
