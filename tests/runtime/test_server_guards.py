@@ -9,6 +9,7 @@ import contextlib
 import errno
 import logging
 import os
+import random
 import socket
 import threading
 import time
@@ -293,6 +294,34 @@ def test_a_client_that_leaves_is_noticed_even_behind_another_request(plain: Guar
         plain.app.seen.append(("", b""))
 
 
+CHUNKED = b"Transfer-Encoding: chunked\r\n\r\n"
+
+
+@pytest.mark.parametrize(
+    ("first", "then", "answer"),
+    [
+        (HEAD + CHUNKED + b"oops\r\n", b"", 400),
+        (HEAD + CHUNKED + b"1\r\na\r\n", b"oops\r\n", 400),
+        (HEAD + b"Content-Length: 9\r\n" + CHUNKED + b"oops\r\n", b"", 400),  # refused twice over
+        (HEAD + b"Content-Length: 9\r\n" + CHUNKED, b"oops\r\n", 400),  # after the answer
+        (b"GET /much HTTP/1.1\r\nHost: x\r\n\r\n", b"oops\r\n\r\n", 200),  # during the answer
+        (b"GET / HTTP/1.1\r\nHost: x\r\n\r\n", b"oops\r\n\r\n", 200),  # instead of the next request
+        (HEAD + b"Expect: 100-continue\r\n" + CHUNKED, b"oops\r\n", 100),
+    ],
+)
+def test_what_is_no_http_is_refused_wherever_it_comes(
+    plain: Guarded, first: bytes, then: bytes, answer: int, caplog: pytest.LogCaptureFixture
+) -> None:
+    with plain.connect() as client:
+        client.sendall(first)
+        time.sleep(0.1 if then else 0)
+        with contextlib.suppress(ConnectionError):
+            client.sendall(then)
+        assert status(read_all(client)) == answer
+    assert wait_until(lambda: plain.open_connections == 0)
+    assert caplog.records == []
+
+
 def test_what_was_not_foreseen_is_a_json_error_and_logged(plain: Guarded, caplog: pytest.LogCaptureFixture) -> None:
     answer = plain.ask(b"GET /fails HTTP/1.1\r\nHost: x\r\nConnection: close\r\n\r\n")
     assert status(answer) == 500 and b'{"error":"the server failed' in answer and b"purpose" not in answer
@@ -329,6 +358,42 @@ def test_leaving_at_any_time_in_any_way_prints_nothing(
     assert wait_until(lambda: plain.open_connections == 0)
     assert caplog.records == []
     assert status(plain.ask(QUICK)) == 200
+
+
+STARTS = [
+    b"%s %s HTTP/1.%d\r\nHost: x\r\n" % (method, path, minor)
+    for method in (b"GET", b"HEAD", b"POST", b"CONNECT")
+    for path in (b"/", b"/waits", b"/much", b"*")
+    for minor in (0, 1)
+]
+PIECES = [
+    b"\r\n", b"Content-Length: 5\r\n", b"Content-Length: 70000\r\n", b"Transfer-Encoding: chunked\r\n", b"abcde",
+    b"\x00\xff", b"5\r\nabcde\r\n", b"0\r\n\r\n", b"0\r\nX: y\r\n\r\n", b"Expect: 100-continue\r\n", b"A" * 70_000,
+    b"Connection: close\r\n", b"Upgrade: h2c\r\nConnection: Upgrade\r\n", b"X: y\r\n" * 50, b"\n" * 5000, *STARTS,
+]  # fmt: skip
+
+
+def test_any_bytes_and_any_end_print_nothing_and_leave_nothing(
+    brief: Guarded, caplog: pytest.LogCaptureFixture
+) -> None:
+    chance = random.Random(23)
+    for _ in range(10_000 if LONG else 400):
+        with brief.connect() as client, contextlib.suppress(OSError):
+            for _ in range(chance.randrange(1, 4)):
+                client.sendall(chance.choice(STARTS) + b"".join(chance.choices(PIECES, k=chance.randrange(1, 7))))
+                time.sleep(chance.choice((0, 0, 0.002)))
+            end = chance.choice(("close", "half", "reset", "read"))
+            if end == "half":
+                client.shutdown(socket.SHUT_WR)
+            elif end == "reset":
+                client.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, b"\1\0\0\0\0\0\0\0")
+            elif end == "read":
+                client.settimeout(0.02)
+                client.recv(4096)
+    assert wait_until(lambda: brief.open_connections == 0)
+    assert wait_until(lambda: not brief.server.server_state.tasks)
+    assert caplog.records == []
+    assert status(brief.ask(QUICK)) == 200
 
 
 SLOW = (

@@ -175,6 +175,16 @@ class GuardedProtocol(H11Protocol):
             self._timer.cancel()
         super().connection_lost(exc)
 
+    def send_400_response(self, msg: str) -> None:
+        """Refuse what is no HTTP, and stop what the request began; behind an answer that has begun only end."""
+        if self.cycle is not None:
+            self.cycle.disconnected = True
+            self.cycle.message_event.set()
+        if self.conn.our_state in (h11.IDLE, h11.SEND_RESPONSE):
+            super().send_400_response(msg)
+        else:
+            self.drop()
+
     def shutdown(self) -> None:
         """End at the end of the server; only a request that is being served is waited for."""
         self._follow()
