@@ -26,7 +26,14 @@ import torch
 from onnx import numpy_helper
 from torch import nn
 
-from kinegraph.bundle.contract import COARSE_DECODERS, LEVELS, OPTIONAL_GRAPHS, GraphContract, contracts
+from kinegraph.bundle.contract import (
+    COARSE_DECODERS,
+    FORMAT_VERSION,
+    LEVELS,
+    OPTIONAL_GRAPHS,
+    GraphContract,
+    contracts,
+)
 from kinegraph.bundle.reader import Bundle, read_bundle
 from kinegraph.bundle.vocabulary import FILE as VOCABULARY
 from kinegraph.errors import InvalidInputError
@@ -241,10 +248,16 @@ def recover(
 
     Raises:
         BundleError: the bundle cannot be read.
-        InvalidInputError: it was not exported from this preset, or lacks a decoder whose weights `vaes` lack too.
+        InvalidInputError: it was not exported from this preset, is of an older format, or lacks a decoder whose
+            weights `vaes` lack too.
     """
     bundle, config = read_bundle(folder), read_preset(preset)
     manifest = bundle.manifest
+    if manifest.format_version != FORMAT_VERSION:
+        raise InvalidInputError(
+            f"the bundle has format {manifest.format_version}, and denoisers of format {FORMAT_VERSION} have further "
+            "weights; recover it with the kinegraph that exported it"
+        )
     declared = contracts(manifest.levels, config.denoiser.text_width, len(manifest.features.mean))
     for level in LEVELS:
         contract = declared[COARSE_DECODERS.get(level, "decoder")]

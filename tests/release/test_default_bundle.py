@@ -46,7 +46,7 @@ def test_its_steps_are_made_of_fused_operators() -> None:
     manifest = read_bundle(None).manifest
     required = {"QAttention", "MultiHeadAttention", "DynamicQuantizeMatMul"}
     for level in LEVELS:
-        operators = {operator.split("::")[1] for operator in manifest.operators[f"step_{level}.onnx"]}
+        operators = {operator.split("::")[1] for operator in manifest.operators[f"denoiser_{level}.onnx"]}
         assert required <= operators and not operators & {"Softmax", "Transpose", "MatMulInteger"}
 
 

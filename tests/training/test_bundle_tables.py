@@ -39,7 +39,13 @@ def test_tables_come_back_and_a_run_without_them_has_none(tmp_path: Path) -> Non
 def graph(sentence: np.ndarray) -> GraphArrays:
     kind, ones = np.array([0, 1]), np.ones((2, 2))
     return GraphArrays(
-        np.stack([sentence, sentence]).astype(np.float32), kind[None], ones.astype(np.float32), kind, kind, ones[0]
+        np.stack([sentence, sentence]).astype(np.float32),
+        kind[None],
+        ones.astype(np.float32),
+        kind,
+        kind,
+        ones[0],
+        np.arange(2),
     )
 
 

@@ -43,6 +43,7 @@ def graph(parents: list[int], actions: int, seed: int = 0) -> GraphArrays:
         kind=np.array([MOTION] + [ACTION] * actions + [SPECIFIC] * len(parents), dtype=np.int64),
         order=np.array([0, *range(1, actions + 1), *parents], dtype=np.int64),
         path_weight=np.ones(count, dtype=np.float32),
+        owner=np.arange(count),
     )
 
 
