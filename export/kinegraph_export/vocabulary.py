@@ -20,6 +20,7 @@ import numpy as np
 
 from kinegraph.arrays import FloatArray
 from kinegraph.bundle.manifest import decode_manifest, describe_file, encode_manifest
+from kinegraph.bundle.reader import text_files_folder
 from kinegraph.bundle.vocabulary import (
     ACTION_SENTENCE,
     FILE,
@@ -220,6 +221,11 @@ def add_to_bundle(folder: Path, data: bytes) -> None:
     write_atomically(path, sealed, force=True)
 
 
+def text_files_of(bundle: Path) -> Path:
+    """Return the folder of the files that read text for a bundle: its own, or that of installed bundles."""
+    return bundle if (bundle / "text_encoder.onnx").is_file() else text_files_folder()
+
+
 def main(argv: list[str] | None = None) -> None:
     """Run the command line."""
     parser = argparse.ArgumentParser(prog="kinegraph_export.vocabulary", description=__doc__.split("\n")[0])
@@ -227,7 +233,7 @@ def main(argv: list[str] | None = None) -> None:
     parser.add_argument("--bundle", type=Path, required=True, help="folder of the bundle, which is changed")
     options = parser.parse_args(argv)
     shown = [clip for folder in options.data for clip in read_data_captions(folder)]
-    data = build_vocabulary(shown, CaptionEncoder(options.bundle))
+    data = build_vocabulary(shown, CaptionEncoder(text_files_of(options.bundle)))
     add_to_bundle(options.bundle, data)
     print(f"{FILE}: {len(data) / 1e3:.0f} kB in {options.bundle}")
 
