@@ -69,7 +69,7 @@ def test_clips_made_to_any_length_say_nothing_of_it() -> None:
 
     sentences = np.random.default_rng(1).standard_normal((60, 3))
     graphs = {f"caption {number}": graph(sentence) for number, sentence in enumerate(sentences)}
-    captions = CaptionGraphs({}, np.zeros(1), np.zeros(0), np.zeros(0), np.zeros(0), [])
+    captions = CaptionGraphs({}, np.zeros(1), np.zeros(0), np.zeros(0), np.zeros(0), np.zeros(0), [])
     object.__setattr__(captions, "get", graphs.get)
 
     def clips(frames: int, *, any_length: bool) -> list[MotionClip]:

@@ -11,13 +11,20 @@ import pytest
 torch = pytest.importorskip("torch")
 pytest.importorskip("lightning")
 
-from kinegraph.bundle.contract import LEVELS, NULL_KIND, PADDING_BIAS
-from kinegraph.conditioning import ACTION, MOTION, SPECIFIC, GraphArrays
+from kinegraph.bundle.contract import LEVELS, NULL_KIND, PADDING_BIAS, PARTIAL_KIND
+from kinegraph.conditioning import ACTION, MOTION, SPECIFIC, GraphArrays, with_words
 from kinegraph_training import denoiser_batches
 from kinegraph_training.config import OptimiserConfig
 from kinegraph_training.data.clips import MotionClip
 from kinegraph_training.dataset import Dataset
-from kinegraph_training.denoiser_batches import COARSE_NOISE, VERB_MASKING, DenoiserBatch, DenoiserBatches, drop_nodes
+from kinegraph_training.denoiser_batches import (
+    COARSE_NOISE,
+    PARTIAL_WHOLE,
+    VERB_MASKING,
+    DenoiserBatch,
+    DenoiserBatches,
+    drop_nodes,
+)
 from kinegraph_training.latents import Latents
 from kinegraph_training.models.denoiser import DenoiserConfig, LatentShape
 from kinegraph_training.models.graph_encoder import GraphEncoder
@@ -133,12 +140,30 @@ def test_a_tenth_loses_its_text_and_many_the_coarser_latent(many: DenoiserBatch)
 def test_nodes_are_hidden_as_often_as_said(many: DenoiserBatch) -> None:
     large = (many.graph.kind != NULL_KIND).all(dim=1) & (torch.arange(4000) % 2 == 1)
     hidden = (many.node_bias[large] == PADDING_BIAS).double().mean(dim=0)
-    # A specific is hidden by itself (0.2) or with its action (0.05).
-    expected = [0.4, 0.05, 0.05] + [1 - 0.8 * 0.95] * 3
+    # A specific is hidden by itself (0.2) or with its action (0.05); the token of a partial caption stays.
+    expected = [0.4 * (1 - PARTIAL_WHOLE), 0.05, 0.05] + [1 - 0.8 * 0.95] * 3
     np.testing.assert_allclose(hidden.numpy(), expected, atol=0.045)
     small = (many.graph.kind != NULL_KIND).all(dim=1) & (torch.arange(4000) % 2 == 0)
     # The only action stays, and padding is never shown.
     assert (many.node_bias[small, 1] == 0).all() and (many.node_bias[small, 3:] == PADDING_BIAS).all()
+
+
+def test_some_captions_are_told_to_name_a_part(many: DenoiserBatch) -> None:
+    shown = (many.graph.kind != NULL_KIND).all(dim=1)
+    part = many.graph.kind[shown, 0] == PARTIAL_KIND
+    assert float(part.double().mean()) == pytest.approx(PARTIAL_WHOLE, abs=0.02)
+    # Their token is always there, and nothing of the sentence reaches another node.
+    assert (many.node_bias[shown][part, 0] == 0).all()
+    edges = many.graph.relation[shown][part][:, 0, 1:] >= 0
+    assert edges.any() and (many.graph.edge_weight[shown][part][:, 0, 1:][edges] == 0).all()
+
+
+def test_words_go_with_the_node_that_they_hang_on() -> None:
+    owners = np.array([0, 1, 3, 3, 5])
+    words = with_words(LARGE, np.ones((5, WIDTH), dtype=np.float32), owners)
+    for seed in range(20):
+        _, visible = drop_nodes(words, np.random.default_rng(seed))
+        np.testing.assert_array_equal(visible[6:], visible[owners])
 
 
 def test_validation_hides_nothing() -> None:
