@@ -74,6 +74,10 @@ OTHER_ACTIONS: Final = (
 """Everyday actions. Those that training did not show are embedded too: what is nearer to one of them is not known."""
 
 
+OTHERS_JOINED = 20
+"""Actions that each action is worded together with; captions of the run's own compositions come on top."""
+
+
 def build_vocabulary(shown: Sequence[ShownCaptions], encoder: CaptionEncoder) -> bytes:
     """Build the content of `vocabulary.npz`.
 
@@ -120,8 +124,8 @@ def training_captions(clips: Iterable[ShownCaptions]) -> set[str]:
         captions |= {ACTION_SENTENCE.format(f"is {text}") for text in PHRASES[action].participle}
         for template in COUNTED_STEPS.get(action, ()):
             captions |= {template.format(subject="a person", n=number) for number in NUMBERS}
-        for other in actions:
-            captions |= {*splice_caption(action, other, "", rng), *sequence_caption(action, other, "", rng)}
+        for other in rng.choice(actions, min(len(actions), OTHERS_JOINED), replace=False):
+            captions |= {*splice_caption((action, str(other)), "", rng), *sequence_caption(action, str(other), "", rng)}
         captions |= {
             ACTION_SENTENCE.format(f"{PHRASES[action].finite[0]} {text}".strip())
             for style in styles

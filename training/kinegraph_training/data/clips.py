@@ -22,6 +22,9 @@ AT_ONCE: Final = "+"
 IN_ORDER: Final = ">"
 """Join the labels of several actions in index.jsonl and in the names of compositions."""
 
+MIRRORED: Final = "~mirror"
+"""End of the id of a mirror image."""
+
 OPPOSITE = {"left": "right", "leftward": "rightward", "leftwards": "rightwards", "clockwise": "counterclockwise"}
 OPPOSITE |= {other: word for word, other in OPPOSITE.items()}
 # An underscore ends a word here, for labels such as wave_left_hand; each spelling of counterclockwise is one word.
@@ -89,7 +92,7 @@ def mirrored_clip(clip: MotionClip) -> MotionClip:
     """Exchange left and right in the motion, the captions and the labels."""
     return replace(
         clip,
-        id=f"{clip.id}~mirror",
+        id=clip.id + MIRRORED,
         joints=mirrored(clip.joints),
         captions=tuple(mirrored_caption(caption) for caption in clip.captions),
         partial_captions=tuple(mirrored_caption(caption) for caption in clip.partial_captions),

@@ -85,6 +85,11 @@ def without_side(phrase: str) -> str:
     return phrase if rest.endswith((" the", " a")) else rest
 
 
+def with_side(phrases: Sequence[str], side: str) -> Sequence[str]:
+    """Keep the phrases that name the side, if there is one: of two hands it must be said which does what."""
+    return [phrase for phrase in phrases if side in phrase] if side else phrases
+
+
 def _draw(options: Sequence[str], rng: np.random.Generator) -> str:
     return options[int(rng.integers(len(options)))]
 
@@ -93,8 +98,8 @@ def _fill(template: str, actions: Sequence[str], style: str, rng: np.random.Gene
     """Fill one template with wordings of actions and a style."""
     words = {"subject": _draw(SUBJECTS, rng)}
     for letter, label in zip("abc", actions, strict=False):
-        words[letter] = _draw(PHRASES[label].finite, rng)
-        words[f"{letter}_ing"] = _draw(PHRASES[label].participle, rng)
+        words[letter] = _draw(with_side(PHRASES[label].finite, PHRASES[label].side), rng)
+        words[f"{letter}_ing"] = _draw(with_side(PHRASES[label].participle, PHRASES[label].side), rng)
     text = f"{template.format(**words)} {_draw(STYLE_PHRASES.get(style, ('',)), rng)}".strip()
     return text + "." if rng.random() < FINAL_STOP else text
 
