@@ -110,24 +110,35 @@ def sentence_for(actions: Sequence[str]) -> str:
     return f"{WORDS[first]} while {' and '.join(GERUNDS[hand] for hand in hands)}"
 
 
-def generate_together(pipe: MotionPipeline, actions: Sequence[str], method: str, seeds: int) -> list[FloatArray]:
-    """Generate clips of several actions at once, by a key of `METHODS` or by `SENTENCE`, one a seed."""
+def generate_together(
+    pipe: MotionPipeline, actions: Sequence[str], method: str, seeds: int, **options: Any
+) -> list[FloatArray]:
+    """Generate clips of several actions at once, by a key of `METHODS` or by `SENTENCE`, one a seed.
+
+    `options` are keywords that `generate` and `compose` have in common.
+    """
     if method == SENTENCE:
         text = sentence_for(actions)
-        return [pipe.generate(text, seconds=SECONDS, seed=seed).joints for seed in range(seeds)]
-    concepts = [WORDS[action] for action in actions]
-    return [pipe.compose(concepts, seconds=SECONDS, seed=seed, **METHODS[method]).joints for seed in range(seeds)]
+        return [pipe.generate(text, seconds=SECONDS, seed=seed, **options).joints for seed in range(seeds)]
+    concepts, how = [WORDS[action] for action in actions], {**METHODS[method], **options}
+    return [pipe.compose(concepts, seconds=SECONDS, seed=seed, **how).joints for seed in range(seeds)]
 
 
-def measure_together(pipe: MotionPipeline, sets: Sequence[Sequence[str]], seeds: int) -> dict[str, Any]:
+def measure_together(
+    pipe: MotionPipeline,
+    sets: Sequence[Sequence[str]],
+    seeds: int,
+    methods: Sequence[str] = (*METHODS, SENTENCE),
+    **options: Any,
+) -> dict[str, Any]:
     """Measure by method how often all actions of a set happen, and each of them, over all sets and seeds."""
     rows: dict[str, Any] = {}
-    for method in (*METHODS, SENTENCE):
+    for method in methods:
         held = {
             " + ".join(actions): np.array(
                 [
                     [BESIDE[action](joints) for action in actions]
-                    for joints in generate_together(pipe, actions, method, seeds)
+                    for joints in generate_together(pipe, actions, method, seeds, **options)
                 ]
             )
             for actions in sets
