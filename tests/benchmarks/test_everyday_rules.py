@@ -145,6 +145,13 @@ def test_a_jump_is_in_the_air_and_a_crouch_is_not() -> None:
     assert not RULES["crouches"](jumping(0.3)) and not RULES["down"](squatting(0.3))
 
 
+def test_sitting_rests_on_the_height_of_a_chair() -> None:
+    down = squatting(0.45)
+    seated = np.concatenate([down[:20], np.repeat(down[19:20], 25, axis=0), down[20:]])
+    assert RULES["sits"](seated) and RULES["crouches"](seated) and not RULES["sits"](down)
+    assert not RULES["sits"](standing()) and not RULES["sits"](falling())
+
+
 def test_falls_and_getting_up_are_each_other_backwards() -> None:
     fall = falling()
     assert RULES["down"](fall) and not RULES["gets_up"](fall)

@@ -204,10 +204,19 @@ def gets_up(joints: FloatArray) -> bool:
     return bool((hips[:-5] < min(0.65, end - 0.3)).any())
 
 
+def sits(joints: FloatArray) -> bool:
+    """Tell whether the hips rest at the height of a chair, 0.3 to 0.8 legs, for a second, with the trunk upright.
+
+    They move at less than 0.25 m/s there. A high stool holds the hips as high as bent knees do, and is not told apart.
+    """
+    hips = hip_height(joints)
+    return _longest((hips > 0.3) & (hips < 0.8) & (lean(joints) < 50) & (_pace(joints) < 0.25)) >= p.FPS
+
+
 def bows(joints: FloatArray) -> bool:
-    """Tell whether the trunk leans over by 20 degrees more than at first while the hips stay up, within 0.2 legs."""
+    """Tell whether the trunk leans over by 16 degrees more than at first while the hips stay up, within 0.2 legs."""
     leaning, hips = lean(joints), hip_height(joints)
-    return bool(leaning.max() - leaning[0] > 20 and hips.max() - hips.min() < 0.2)
+    return bool(leaning.max() - leaning[0] > 16 and hips.max() - hips.min() < 0.2)
 
 
 # Rules of limbs
@@ -328,6 +337,7 @@ RULES: Final[Mapping[str, p.Predicate]] = {
     "crouches": crouches,
     "down": falls,
     "gets_up": gets_up,
+    "sits": sits,
     "bows": bows,
     "kicks": _either(_KICKS),
     "kicks_left": _only(_KICKS, "left"),
