@@ -11,7 +11,8 @@ import pytest
 from kinegraph_benchmarks.common.label_classifier import LabelClassifier
 from kinegraph_benchmarks.quality import recognition
 from kinegraph_benchmarks.quality.recognition import Captured
-from kinegraph_training.data.clips import MotionClip
+from kinegraph_training.data.clips import MotionClip, start_at_origin
+from kinegraph_training.data.common_skeleton import rest_directions, to_common_skeleton
 from kinegraph_training.data.folder import PreparedClip, write_data
 from support.motions import t_pose, walk
 
@@ -104,6 +105,17 @@ def test_one_bundle_is_measured_and_shown(tmp_path: Path) -> None:
         {"evaluator": "t", "repeats": 2, "held_out": 6, "bundles": {"a": found, "b": found}}
     )
     assert "| of captured | 1 | 1.000 | 1.000 |" in text and "| stand | 9 | 3 of trained takes | 1.00 |" in text
+
+
+def test_another_body_is_brought_to_that_of_the_captured_clips() -> None:
+    plain = [walk(40), walk(50, speed=0.08)]
+    common = [start_at_origin(to_common_skeleton(joints, rest_directions(plain))) for joints in plain]
+    assert recognition.has_common_body(common[0]) and not recognition.has_common_body(plain[0])
+    asked = [clip(0, "walk", common[0])]
+    brought = recognition.on_body_of(asked, plain)
+    np.testing.assert_allclose(brought[1], common[1])
+    assert recognition.on_body_of(asked, common)[0] is common[0]
+    assert recognition.on_body_of([clip(0, "walk", plain[0])], plain)[1] is plain[1]
 
 
 def test_judges_see_no_held_out_clip(tmp_path: Path) -> None:

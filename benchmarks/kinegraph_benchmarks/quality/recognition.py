@@ -8,7 +8,8 @@ The judges are a linear classifier of actions and an evaluator (`train_evaluator
 captured clips of `train` without the takes of `data.left_out`; judged are these takes and the splits `val` and
 `dev_test`. Every held-out clip is asked for by its captions and length. R-precision looks for the right caption among
 32 of distinct labels. Spread is the mean distance between takes of one caption, beside the captured clips of its label
-and style: as poses, in metres, and in the evaluator's space (multimodality). Writes JSON, and a Markdown table.
+and style: as poses, in metres, and in the evaluator's space (multimodality). Clips of a bundle with another body are
+brought to the common skeleton first. Writes JSON, and a Markdown table.
 """
 
 from __future__ import annotations
@@ -24,13 +25,15 @@ from typing import Any, Final
 import numpy as np
 
 from kinegraph.arrays import FloatArray
+from kinegraph.motion.skeleton import bone_lengths
 from kinegraph_benchmarks.common.arguments import add_arguments, benchmark_parser
 from kinegraph_benchmarks.common.evaluator import FOLDER, Evaluator
 from kinegraph_benchmarks.common.label_classifier import LabelClassifier
 from kinegraph_benchmarks.common.report_io import write_report
 from kinegraph_benchmarks.common.sample_cache import BundleModel, Model, cache_folder, load_or_generate, long_enough
 from kinegraph_benchmarks.common.scores import grouped_r_precision
-from kinegraph_training.data.clips import MotionClip, mirrored_clip, read_jsonl, read_split
+from kinegraph_training.data.clips import MotionClip, mirrored_clip, read_jsonl, read_split, start_at_origin
+from kinegraph_training.data.common_skeleton import BONE_LENGTHS, rest_directions, to_common_skeleton
 from kinegraph_training.data.left_out import HELD_OUT, left_out_clips
 from kinegraph_training.metrics import frechet_distance, matching_distance
 from kinegraph_training.synthetic.compositions import resample_linear
@@ -41,6 +44,8 @@ ENOUGH: Final = 8
 """Training clips from which an action counts for the means."""
 MOST: Final = 20
 """Captured clips of an action that its spread is measured on."""
+SAME_BODY: Final = 0.005
+"""Metres."""
 FRAMES: Final = 32
 """Frames to which clips are resampled before their poses are compared."""
 
@@ -76,6 +81,26 @@ def read_captured(data: Path) -> Captured:
 def train_classifier(captured: Captured) -> LabelClassifier:
     """Train the classifier of actions on the captured clips and their mirror images."""
     return LabelClassifier(captured.train + [mirrored_clip(clip) for clip in captured.train], BALANCE)
+
+
+def on_body_of(clips: Sequence[MotionClip], motions: Sequence[FloatArray]) -> list[FloatArray]:
+    """Bring generated motions to the common skeleton if the captured clips have it and these do not.
+
+    A bundle that was trained on another body would be told from captured motion by its bones alone.
+
+    Args:
+        clips: captured.
+        motions: of one bundle, all with its body: joints (frames, 22, 3).
+    """
+    if not has_common_body(clips[0].joints) or has_common_body(motions[0]):
+        return list(motions)
+    rests = rest_directions(motions)
+    return [start_at_origin(to_common_skeleton(joints, rests)) for joints in motions]
+
+
+def has_common_body(joints: FloatArray) -> bool:
+    """Tell whether the bones of a motion are those of the common skeleton, to `SAME_BODY` in the mean."""
+    return bool(np.abs(bone_lengths(joints).mean(axis=0) - BONE_LENGTHS).mean() < SAME_BODY)
 
 
 def recognised(
@@ -149,7 +174,8 @@ def measure_spread(model: Model, captured: Captured, evaluator: Evaluator, takes
         if len(real) < ENOUGH:
             continue
         seconds = float(np.clip(len(clip.joints) / model.fps, *model.seconds_limits))
-        made = [model.generate(clip.captions[0], seconds=seconds, seed=seed).joints for seed in range(takes)]
+        plain = [model.generate(clip.captions[0], seconds=seconds, seed=seed).joints for seed in range(takes)]
+        made = on_body_of([clip], plain)
         rows["/".join(filter(None, label))] = {
             "takes": pose_spread(made),
             "captured": pose_spread(real),
@@ -188,7 +214,8 @@ def measure_model(
     """
     clips = captured.held_out
     folder = cache_folder(model, work, "held_out", clips, {})
-    made = [load_or_generate(model, clips, take, folder) for take in range(repeats)]
+    takes_made = (load_or_generate(model, clips, take, folder) for take in range(repeats))
+    made = [(on_body_of(clips, motions), captions) for motions, captions in takes_made]
     real = recognised(clips, [[clip.joints for clip in clips]], judge)
     rows = by_action(captured, real, recognised(clips, [motions for motions, _ in made], judge))
     scores = [embedded_scores(clips, motions, captions, evaluator) for motions, captions in made]
