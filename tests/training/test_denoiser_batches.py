@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -28,7 +29,7 @@ from kinegraph_training.denoiser_batches import (
 from kinegraph_training.latents import Latents
 from kinegraph_training.models.denoiser import DenoiserConfig, LatentShape
 from kinegraph_training.models.graph_encoder import GraphEncoder
-from kinegraph_training.train_denoisers import DenoiserModule, squared_error
+from kinegraph_training.train_denoisers import DenoiserModule, HideLate, squared_error
 
 WIDTH = 12
 SHAPES = {"motion": (2, 4), "action": (3, 4), "specific": (4, 4)}
@@ -270,3 +271,31 @@ def test_the_loss_is_that_of_the_noise_in_a_noised_latent(
     alpha = np.cumprod(1 - betas)[[0, 49], None, None]
     expected = np.sqrt(alpha) * batch.latents["action"].numpy() + np.sqrt(1 - alpha) * noise.numpy()
     np.testing.assert_allclose(read[0], expected, atol=1e-5)
+
+
+def test_nothing_is_hidden_before_the_last_part_of_a_run() -> None:
+    early = batches(augment=True, masked=Masked())
+    early.hiding = False
+    batch = early([0, 1] * 500)
+    has_text = (batch.graph.kind != NULL_KIND).any(dim=1)
+    padding = batch.graph.node_mask == 0
+    assert ((batch.node_bias == PADDING_BIAS) == padding)[has_text].all()
+    assert not (batch.graph.nodes == 7.0).any()
+    callback = HideLate(early, first_step=3)
+    for step, hides in ((2, False), (3, True)):
+        callback.on_train_batch_start(SimpleNamespace(global_step=step), None, None, 0)
+        assert early.hiding is hides
+
+
+def test_half_of_the_draws_of_a_composition_name_a_part_and_say_so() -> None:
+    composed = batches(augment=True)
+    composed.hiding = False
+    composed.dataset.clips[0] = replace(composed.dataset.clips[0], partial_captions=("large",))
+    batch = composed([0] * 2000)
+    text = (batch.graph.kind != NULL_KIND).any(dim=1)
+    is_large = batch.graph.node_mask.sum(dim=1) == len(LARGE.kind)
+    is_partial = batch.graph.kind[:, 0] == PARTIAL_KIND
+    assert float(is_large.double().mean()) == pytest.approx(0.5, abs=0.04)
+    assert is_partial[is_large & text].all()
+    # Some that name everything are marked as well.
+    assert float(is_partial[~is_large & text].double().mean()) == pytest.approx(PARTIAL_WHOLE, abs=0.03)
