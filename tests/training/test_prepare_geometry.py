@@ -12,9 +12,10 @@ import pytest
 
 from kinegraph.errors import InvalidInputError
 from kinegraph.motion.skeleton import JOINT_NAMES, canonicalise
+from kinegraph_training.data.body import guess_unit
 from kinegraph_training.data.bvh import joint_positions, parse_bvh, resample_bvh
-from kinegraph_training.data.retargeting import NAMING_CONVENTIONS, find_joint_map, map_joints, plain_name, read_map
-from kinegraph_training.prepare import guess_unit
+from kinegraph_training.data.naming import NAMING_CONVENTIONS, plain_name
+from kinegraph_training.data.retargeting import find_joint_map, map_joints, read_map
 from support.bvh_files import MIXAMO, bvh_text, prepare_joints
 from support.shared import shared_path
 

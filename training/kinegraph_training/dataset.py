@@ -162,8 +162,13 @@ def training_set(
         held_out: see `training_clips`.
         more: see `training_clips`.
         paced: add a copy of every clip at a random speed (`time_scaled_copies`).
+
+    Raises:
+        InvalidInputError: see `training_clips`; or there are no clips.
     """
     clips = training_clips(folder, config, held_out, more)
+    if not clips:
+        raise InvalidInputError(f"{folder} has no clip of {config.min_frames} frames or more in its split train")
     if paced:
         clips += time_scaled_copies(clips, config, config.seed + SeedStream.TIME_SCALED_COPIES)
     features = [features_from_joints(clip.joints) for clip in clips]

@@ -27,6 +27,7 @@ from kinegraph.arrays import FloatArray
 from kinegraph.bundle.contract import KINDS, LEVELS, PADDING_BIAS
 from kinegraph.bundle.tables import BONE_LENGTHS, DURATION
 from kinegraph.diffusion.sampling import NoiseSchedule
+from kinegraph.errors import InvalidInputError
 from kinegraph_training.bundle_tables import common_bone_lengths, fit_duration, write_tables
 from kinegraph_training.config import DataConfig, OptimiserConfig, Preset, read_preset
 from kinegraph_training.data.caption_cache import CaptionGraphs, CaptionStates, encode_graphs, encode_states
@@ -208,6 +209,11 @@ def load_clips(arguments: argparse.Namespace, config: DataConfig) -> Splits:
     """Load captured and synthetic clips of training, and captured ones of validation."""
     everything = training_set(arguments.data, config, arguments.held_out, arguments.more)
     train = drop_long_clips(everything, config.max_frames)
+    dropped = len(everything.clips) - len(train.clips)
+    if not train.clips:
+        raise InvalidInputError(f"all clips of {arguments.data} are longer than {config.max_frames} frames; cut them")
+    if dropped:
+        print(f"left out: {dropped} of {len(everything.clips)} clips, longer than {config.max_frames} frames")
     return Splits(train, validation_set(arguments.data, "val", config, train.mean, train.std))
 
 
@@ -239,7 +245,7 @@ def measure_tables(train: Dataset, graphs: CaptionGraphs | CaptionStates) -> dic
     """Measure the tables of the bundle on the clips of training: the duration model, and the length of the bones."""
     tables = {}
     if isinstance(graphs, CaptionGraphs):
-        usual = [clip for clip in train.clips if not clip.any_length]
+        usual = [clip for clip in train.clips if not clip.any_length] or train.clips
         samples = [(graphs.get(caption), len(clip.joints)) for clip in usual for caption in clip.captions]
         tables[DURATION] = fit_duration(samples)
     lengths = common_bone_lengths(clip.joints for clip in train.clips)

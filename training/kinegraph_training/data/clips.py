@@ -48,7 +48,7 @@ class MotionClip:
     steps: int | None = None
     """Number of steps taken, where the index counts them."""
     any_length: bool = False
-    """Whether its length was drawn at random, and so says nothing of how long its captions usually take."""
+    """Whether its length was drawn at random or cut, and so says nothing of how long its captions usually take."""
     partial_captions: tuple[str, ...] = ()
     """Sentences, each of a part of what the clip shows: one of several actions at once."""
     made_by: str = ""
@@ -142,6 +142,8 @@ def read_split(folder: Path, split: str) -> list[MotionClip]:
                 style=row.get("style_canon", ""),
                 in_order=IN_ORDER in label,
                 steps=row.get("attr", {}).get("steps"),
+                # where a recording was cut says nothing of how long its action takes
+                any_length="start" in row,
             )
         )
     return clips
