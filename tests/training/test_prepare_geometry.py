@@ -196,7 +196,10 @@ def test_joints_that_cannot_be_mapped_are_named(tmp_path: Path) -> None:
 
 
 def test_plain_names() -> None:
-    assert plain_name("mixamorig:LeftUpLeg") == "leftupleg"
-    assert plain_name("CC_Base_L_Thigh") == "lthigh"
-    assert plain_name("rig:spine:Left Foot.end") == "leftfoot.end"
+    for name in ("mixamorig:LeftUpLeg", "leftupleg", "L_UpLeg_JNT", "Character1_LeftUpLeg", "lUpLeg", "upleg.L", "UPLEGL"):
+        assert plain_name(name) == "left upleg"
+    for name in ("LowerBack", "Bip01 lowerback", "robot_LowerBack"):
+        assert plain_name(name) == "lowerback"
+    assert plain_name("CC_Base_L_Thigh") == "left thigh"
+    assert plain_name("rig:spine:Left Foot.end") == "left foot.end"
     assert plain_name("Bip01_Neck") == "neck"

@@ -119,7 +119,9 @@ def find_up(positions: Floats, rest: Floats | None) -> tuple[str, str | None]:
     """
     direction = _body_direction(positions).mean(axis=0)
     axis, share = _nearest_axis(direction)
-    rest_axis, rest_share = _nearest_axis(_body_direction(rest[None])[0]) if rest is not None else (axis, 0.0)
+    rest_axis, rest_share = axis, 0.0
+    if rest is not None and _stands(rest):
+        rest_axis, rest_share = _nearest_axis(_body_direction(rest[None])[0])
     if share >= _CLEAR_UP:
         if rest_share < _CLEAR_UP or rest_axis == axis:
             return axis, None
@@ -240,6 +242,13 @@ def _body_direction(positions: Floats) -> Floats:
         positions[:, JOINT_INDEX["neck"]] - positions[:, JOINT_INDEX["pelvis"]],
     )
     return sum(span / np.maximum(np.linalg.norm(span, axis=-1, keepdims=True), 1e-12) for span in spans) / 2.0
+
+
+def _stands(rest: Floats) -> bool:
+    """Tell whether a rest pose (22, 3) is that of a body at all: some files lay all bones along their own axes."""
+    spine = rest[JOINT_INDEX["neck"]] - rest[JOINT_INDEX["pelvis"]]
+    legs = [rest[JOINT_INDEX[ankle]] - rest[JOINT_INDEX[hip]] for hip, _, ankle in _LEGS]
+    return all(float(leg @ spine) < -0.8 * np.linalg.norm(leg) * np.linalg.norm(spine) for leg in legs)
 
 
 def _nearest_axis(direction: Floats) -> tuple[str, float]:

@@ -108,10 +108,10 @@ def plain_name(name: str) -> str:
     for _ in range(2):  # ValveBiped.Bip01_
         body = _PREFIX.sub("", body)
     words = [word.lower() for word in _WORD.findall(_SUFFIX.sub("", body))]
-    side = next((_SIDES[word] for word in words if word in _SIDES), "")
-    if side:
-        words.remove(next(word for word in words if word in _SIDES))
-        return f"{side} {''.join(words)}{end}"
+    at = next((number for number, word in enumerate(words) if word in _SIDES), None)
+    rest = "".join(words[:at] + words[at + 1 :]) if at is not None else ""
+    if at is not None and rest and not rest.isdigit():  # L5 is a vertebra
+        return f"{_SIDES[words[at]]} {rest}{end}"
     return _split_side("".join(words)) + end
 
 

@@ -18,7 +18,7 @@ _USUAL: Final = 0.8
 """Length of a window, as a share of `MAX_FRAMES`; the rest is the freedom to look for a moment of little motion."""
 
 _ORDER: Final = re.compile(
-    r"\b(then|after|afterwards?|before|until|till|finally|lastly|firstly?|second(ly)?|next|eventually|later|again|once"
+    r"\b(then|after|afterwards?|before|until|till|finally|lastly|first(ly)?|second(ly)?|next|eventually|later|again|once"
     r"|twice|thrice|times|starts?|starting|begins?|beginning|stops?|stopping|stopped|ends?|ending|finish(es|ing)?"
     r"|return(s|ing)?|turns? around|and"
     r"|(sits?|sitting|stands?|standing|lies|lie|lying|lays?|gets?|getting|kneels?|crouch(es)?"
