@@ -40,6 +40,7 @@ from kinegraph.errors import InvalidInputError
 from kinegraph_export.graphs import TrainedModels, graph_modules, trace_to_onnx
 from kinegraph_export.modules import CoarseDecoderGraph, DecoderGraph
 from kinegraph_training.bundle_tables import write_tables
+from kinegraph_training.checkpoints import read_checkpoint
 from kinegraph_training.config import Preset, read_preset
 from kinegraph_training.dataset import drop_long_clips, training_set
 from kinegraph_training.latents import encode_clips, read_vae, standardise
@@ -143,7 +144,7 @@ def store_encoder(checkpoint: Path, out: Path) -> None:
         checkpoint: of `train_vae`.
         out: checkpoint to write.
     """
-    state = torch.load(checkpoint, map_location="cpu", weights_only=True)
+    state = read_checkpoint(checkpoint)
     weights = {}
     for name, value in state["state_dict"].items():
         if not name.startswith("vae."):  # the normalisation of features
@@ -165,7 +166,7 @@ def recover_autoencoder(bundle: Bundle, level: str, checkpoint: Path, contract: 
     Raises:
         InvalidInputError: the checkpoint lacks weights of the encoder, or the bundle has no decoder for it.
     """
-    state = torch.load(checkpoint, map_location="cpu", weights_only=True)
+    state = read_checkpoint(checkpoint)
     vae = MotionVae(VaeConfig(**state["hyper_parameters"]["config"])).eval()
     encoder = {name.removeprefix("vae."): v for name, v in state["state_dict"].items() if name.startswith("vae.")}
     missing = {name.split(".")[0] for name in vae.load_state_dict(encoder, strict=False).missing_keys}

@@ -313,7 +313,9 @@ EXPORTERS: dict[str, Exporter] = {
         order="YXZ", rest="A", root="RL_BoneRoot",
     ),
     "OptiTrack": Exporter(
-        prefixed("Anna:", names_of("Hip Ab - Chest Neck Head", "Thigh Shin Foot Toe Shoulder UArm FArm Hand", "{S}{name}")),
+        prefixed("Anna:", names_of(
+            "Hip Ab - Chest Neck Head", "Thigh Shin Foot Toe Shoulder UArm FArm Hand", "{S}{name}"
+        )),
         unit=0.001, fps=120.0, order="XYZ",
     ),
     "LaFAN1": Exporter(
@@ -332,7 +334,8 @@ EXPORTERS: dict[str, Exporter] = {
         unit=1.0, order="XYZ", root="m_avg_root", up="turned",
     ),
     "Bandai Namco": Exporter(
-        names_of("Hips - Spine Chest Neck Head", _HUMANOID, "{name}_{S}"), order="ZYX", positions="all", root="joint_Root"
+        names_of("Hips - Spine Chest Neck Head", _HUMANOID, "{name}_{S}"),
+        order="ZYX", positions="all", root="joint_Root",
     ),
     "Somebody's": Exporter(prefixed("Hero_rig|", prefixed("Hero_", _MIXAMO)), order="ZXY", rest="A"),
 }  # fmt: skip

@@ -196,7 +196,7 @@ def test_joints_that_cannot_be_mapped_are_named(tmp_path: Path) -> None:
 
 
 def test_plain_names() -> None:
-    for name in ("mixamorig:LeftUpLeg", "leftupleg", "L_UpLeg_JNT", "Character1_LeftUpLeg", "lUpLeg", "upleg.L", "UPLEGL"):
+    for name in ("mixamorig:LeftUpLeg", "leftupleg", "L_UpLeg_JNT", "Hero|Character1_LeftUpLeg", "upleg.L", "UPLEGL"):
         assert plain_name(name) == "left upleg"
     for name in ("LowerBack", "Bip01 lowerback", "robot_LowerBack"):
         assert plain_name(name) == "lowerback"

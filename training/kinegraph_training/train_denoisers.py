@@ -29,6 +29,7 @@ from kinegraph.bundle.tables import BONE_LENGTHS, DURATION
 from kinegraph.diffusion.sampling import NoiseSchedule
 from kinegraph.errors import InvalidInputError
 from kinegraph_training.bundle_tables import common_bone_lengths, fit_duration, write_tables
+from kinegraph_training.checkpoints import fit
 from kinegraph_training.config import DataConfig, OptimiserConfig, Preset, read_preset
 from kinegraph_training.data.caption_cache import CaptionGraphs, CaptionStates, encode_graphs, encode_states
 from kinegraph_training.data.clips import MotionClip, read_jsonl
@@ -42,7 +43,6 @@ from kinegraph_training.models.hierarchy import Hierarchy
 from kinegraph_training.trainer import (
     add_common_arguments,
     configure_optimiser,
-    last_checkpoint,
     lightning_flags,
     load_start_weights,
     make_trainer,
@@ -350,7 +350,7 @@ def main(argv: list[str] | None = None) -> None:
     trainer = make_trainer(stage, config, validate_every=min(500, config.steps), lightning=lightning_flags(lightning))
     collate: Any = train_batches.collate_fn
     trainer.callbacks.append(HideLate(collate, preset.data.hide_from * config.steps))  # type: ignore[attr-defined]
-    trainer.fit(module, train_batches, val_batches, ckpt_path=last_checkpoint(stage))
+    fit(trainer, module, train_batches, val_batches, stage)
 
 
 if __name__ == "__main__":

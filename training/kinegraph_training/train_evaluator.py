@@ -22,6 +22,7 @@ from torch import Tensor, nn
 from torch.utils.data import DataLoader, WeightedRandomSampler
 
 from kinegraph.motion.features import features_from_joints, normalisation
+from kinegraph_training.checkpoints import fit
 from kinegraph_training.config import DataConfig, OptimiserConfig
 from kinegraph_training.data.caption_cache import CaptionStates, encode_states
 from kinegraph_training.data.clips import MotionClip, mirrored_clip, read_jsonl, read_split
@@ -29,7 +30,7 @@ from kinegraph_training.data.left_out import left_out_clips
 from kinegraph_training.dataset import Dataset, cut_long_clips, validation_set
 from kinegraph_training.metrics import label_groups, r_precision
 from kinegraph_training.models.evaluator import EvaluatorConfig, MotionEncoder, TextEncoder, contrastive_loss
-from kinegraph_training.trainer import configure_optimiser, last_checkpoint, lightning_flags, make_trainer
+from kinegraph_training.trainer import configure_optimiser, lightning_flags, make_trainer
 from kinegraph_training.vae_batches import pad_clips
 
 DATA = DataConfig()
@@ -177,7 +178,7 @@ def main(argv: list[str] | None = None) -> None:
     module = EvaluatorModule(EvaluatorConfig(), training, train.mean.tolist(), train.std.tolist())
     every = min(250, training.steps)
     trainer = make_trainer(arguments.run, training, validate_every=every, lightning=lightning_flags(lightning))
-    trainer.fit(module, train_batches, val_batches, ckpt_path=last_checkpoint(arguments.run))
+    fit(trainer, module, train_batches, val_batches, arguments.run)
 
 
 if __name__ == "__main__":

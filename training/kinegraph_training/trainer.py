@@ -16,6 +16,7 @@ from lightning.pytorch.loggers import CSVLogger
 from torch import nn
 
 from kinegraph.errors import InvalidInputError
+from kinegraph_training.checkpoints import read_checkpoint
 from kinegraph_training.config import OptimiserConfig
 
 TOKEN_PARAMETERS = frozenset(("query", "latent_position", "position", "coarse_position"))
@@ -219,7 +220,7 @@ def load_start_weights(module: nn.Module, checkpoint: Path, prefix: str) -> None
     """
     if not checkpoint.is_file():
         raise InvalidInputError(f"--start-from {checkpoint}: there is no such file")
-    weights = torch.load(checkpoint, map_location="cpu", weights_only=True)["state_dict"]
+    weights = read_checkpoint(checkpoint)["state_dict"]
     state = {name.removeprefix(prefix): value for name, value in weights.items() if name.startswith(prefix)}
     for name, value in module.state_dict().items():
         if name.split(".")[-1] in TOKEN_PARAMETERS and name in state:
@@ -237,12 +238,6 @@ def load_start_weights(module: nn.Module, checkpoint: Path, prefix: str) -> None
 def repeat_rows(rows: torch.Tensor, count: int) -> torch.Tensor:
     """Repeat each row of (n, d) count / n times to (count, d); return them unchanged if n does not divide count."""
     return rows if count % len(rows) else rows.repeat_interleave(count // len(rows), dim=0)
-
-
-def last_checkpoint(run: Path) -> str | None:
-    """Return the checkpoint to resume from, if the run was started before."""
-    path = run / "last.ckpt"
-    return str(path) if path.is_file() else None
 
 
 def add_common_arguments(parser: argparse.ArgumentParser) -> None:

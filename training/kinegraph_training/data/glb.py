@@ -241,7 +241,8 @@ def _sample(track: _Track | None, rest: Floats, seconds: Floats) -> Floats:
         return _cubic(track.values[before], track.values[after], share[:, None], span[:, None])
     first, second = track.values[before], track.values[after]
     if track.interpolation == "STEP":
-        return np.where((share >= 1.0)[:, None], second, first)
+        # key times are rounded in the file: a moment that close to a key is that key
+        return np.where((share >= 0.999)[:, None], second, first)
     if first.shape[-1] == len(IDENTITY):
         return slerp(normalised(first), normalised(second), share)
     return first + share[:, None] * (second - first)
