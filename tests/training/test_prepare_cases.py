@@ -6,6 +6,7 @@ The files of ../shared/cases, where they are, are read too.
 from __future__ import annotations
 
 import json
+import os
 import re
 import shutil
 from dataclasses import replace
@@ -208,6 +209,8 @@ def test_sizes_are_refused_before_anything_is_allocated(tmp_path: Path) -> None:
         parse_bvh(empty)
     with pytest.raises(InvalidInputError, match="frames of"):
         parse_bvh(empty.replace("1000000000", "9" * 400))
+    with pytest.raises(InvalidInputError, match="at least 2,001 joints"):
+        parse_bvh("HIERARCHY\n" + "JOINT a\n{\nOFFSET 0 0 0\n" * 3000 + "}\n" * 3000 + "MOTION\n")
     recording = read_recording(_write(tmp_path, WALK))
     pose = recording.sample(np.zeros(1))[0]
     still = replace(
@@ -274,6 +277,8 @@ def test_tables_of_other_programs_are_read(tmp_path: Path, text: str, captions: 
         ("c.jsonl", '{"file": "walk.bvh", "caption": "walks\\u0000"}', r"U\+0000 is no text"),
         ("c.jsonl", '{"file": ' + "9" * 5000 + "}", "no JSON"),
         ("c.jsonl", "[" * 100_000, "no JSON"),
+        ("c.jsonl", '{"file": "walk.bvh", "caption": "a", "captions": ["b"]}', "either caption or captions"),
+        ("c.jsonl", '{"file": "walk.bvh", "caption": "a", "start": 3}', "'start'"),
     ],
 )
 def test_captions_that_are_no_text_are_refused_before_anything_is_written(
@@ -285,6 +290,54 @@ def test_captions_that_are_no_text_are_refused_before_anything_is_written(
     assert main(paths) == 2
     assert re.search(message, capsys.readouterr().err)
     assert not (tmp_path / "out").exists()
+
+
+def test_random_damage_ends_in_joints_or_in_our_error(tmp_path: Path) -> None:
+    rng = np.random.default_rng(0)
+    data = WALK.encode()
+    words = [
+        b"nan",
+        b"-",
+        b"1e400",
+        b"{",
+        b"}",
+        b"JOINT",
+        b"End Site",
+        b"OFFSET",
+        b"\n",
+        b"\0",
+        b"\xff",
+        b"9" * 400,
+        b",",
+    ]
+    outcomes = {True: 0, False: 0}
+    for number in range(150):
+        broken = bytearray(data)
+        for at in rng.integers(0, len(HEAD) + 200 if number % 2 else len(data), size=int(rng.integers(1, 4))):
+            if number % 3:
+                broken[at : at + int(rng.integers(0, 30))] = words[int(rng.integers(len(words)))]
+            elif chr(broken[at]).isdigit():
+                broken[at] = ord("0") + int(rng.integers(10))
+        try:
+            joints = read(tmp_path, bytes(broken)).joints
+            assert np.isfinite(joints).all()
+            outcomes[True] += 1
+        except InvalidInputError as error:
+            assert len(str(error)) < 4000
+            outcomes[False] += 1
+    assert min(outcomes.values()) > 5
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="needs named pipes")
+def test_pipes_are_refused_and_not_waited_for(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    arguments = write_bvh_folder(tmp_path, {"walk.bvh": WALK})
+    os.mkfifo(tmp_path / "c.jsonl")
+    assert main([*arguments[:3], str(tmp_path / "c.jsonl"), *arguments[4:]]) == 2
+    os.mkfifo(tmp_path / "bvh" / "pipe.bvh")
+    assert main(arguments) == 2
+    assert main([*arguments, "--map", str(tmp_path / "c.jsonl")]) == 2
+    error = capsys.readouterr().err
+    assert error.count("pipe") >= 3
 
 
 # lengths

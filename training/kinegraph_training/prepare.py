@@ -108,12 +108,37 @@ def prepare(
         MissingExtraError: `preview` or a .glb file needs a package that is not installed.
         OutputError: `out` holds data already, or cannot be written.
     """
+    check_targets(options, out, preview, force)
+    takes, remarks = find_takes(bvh, captions)
+    return write_takes(takes, remarks, out, options, preview=preview)
+
+
+def check_targets(options: PrepareOptions, out: Path | None, preview: Path | None, force: bool) -> None:
+    """Refuse options out of range and places that cannot be written to, before anything is read.
+
+    Raises:
+        InvalidInputError: an option; the message names it.
+        OutputError: `out` or `preview` exists, without `force`, or cannot be written.
+    """
     _check_options(options)
     if out is not None:
         _check_out(out, force)
     if preview is not None:
         check_target(preview, force, (".png",))
-    takes, remarks = find_takes(bvh, captions)
+
+
+def write_takes(
+    takes: Sequence[Take], remarks: Sequence[str], out: Path | None, options: PrepareOptions, *, preview: Path | None
+) -> list[PreparedClip]:
+    """Understand recordings of any source, print the table, and write their clips; see `prepare`.
+
+    Args:
+        takes: recordings to read.
+        remarks: of the source, on what it left out; printed.
+        out: data folder to write; None looks only.
+        options: see `PrepareOptions`.
+        preview: PNG file to write a contact sheet to.
+    """
     prepared, problems = prepare_takes(takes, options)
     print("\n".join(table_lines(prepared)))
     for remark in (*remarks, *(f"left out: {problem}" for problem in problems)):

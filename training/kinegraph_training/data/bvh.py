@@ -204,6 +204,7 @@ def _parse_hierarchy(head: str) -> list[Bone]:
             name = parent.name + END if key == "END" and parent else " ".join(words[1:])
             stack.append(_OpenJoint(name, parent.index if parent else -1, index=count))
             count += 1
+            check_size(1, count, "the file has at least")
         elif not stack:
             raise InvalidInputError(f"{line.strip()!r} stands outside of every joint in the HIERARCHY part")
         elif key == "OFFSET":

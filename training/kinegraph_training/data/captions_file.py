@@ -16,7 +16,10 @@ from pathlib import Path
 
 from kinegraph.errors import InvalidInputError
 from kinegraph.limits import MAX_TEXT
+from kinegraph.validation import short_repr
 from kinegraph_training.data.recording import read_bytes
+
+_KEYS = frozenset(("file", "caption", "captions"))
 
 Line = tuple[int, str, str]
 """Line number, name of a motion file, caption."""
@@ -109,6 +112,11 @@ def _json_lines(path: Path, text: str) -> Iterator[Line]:
             row = json.loads(line)
         except (ValueError, RecursionError) as error:
             raise InvalidInputError(f"{path}, line {number}: no JSON ({str(error)[:200]})") from error
+        if isinstance(row, dict) and (set(row) - _KEYS or _KEYS <= set(row)):
+            raise InvalidInputError(
+                f"{path}, line {number}: has {', '.join(map(short_repr, list(row)[:10]))}; must have file, and either "
+                "caption or captions"
+            )
         match row:
             case {"file": str() as name, "captions": [*texts]} if texts and all(isinstance(t, str) for t in texts):
                 yield from ((number, name, caption) for caption in texts)

@@ -18,7 +18,7 @@ from kinegraph.errors import InvalidInputError, KinegraphError, MissingExtraErro
 from kinegraph.motion.quaternions import IDENTITY, normalised, slerp, to_matrix
 from kinegraph_training.data.recording import MAX_FPS, MIN_FPS, Recording, check_size, nominal_fps, read_bytes
 
-MAX_JSON: Final = 16 << 20
+MAX_JSON: Final = 8 << 20
 """Bytes of the document; a character with 200 joints has 1 MB."""
 SPARSE_FPS: Final = 30.0
 """Frames per second at which a file with few keys is sampled."""
@@ -99,6 +99,7 @@ def _parse(data: bytes) -> Any:
 
 def _read_nodes(document: Any) -> tuple[list[_Node], list[int]]:
     """Read the nodes, and an order in which parents come before children."""
+    check_size(1, len(document.nodes), "the file has")
     parents = [-1] * len(document.nodes)
     for index, node in enumerate(document.nodes):
         for child in node.children or ():
@@ -207,6 +208,7 @@ def _recording(document: Any, nodes: list[_Node], order: list[int], tracks: dict
 
 def _positions(nodes: list[_Node], order: list[int], tracks: dict[tuple[int, str], _Track], seconds: Floats) -> Floats:
     """Compute the places (times, nodes, 3) of all nodes at some times."""
+    check_size(len(seconds), len(nodes), "resampled it has")
     places = np.zeros((len(seconds), len(nodes), 3))
     axes = np.zeros((len(seconds), len(nodes), 3, 3))
     for index in order:

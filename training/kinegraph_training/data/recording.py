@@ -27,6 +27,10 @@ MAX_BYTES: Final = 256 << 20
 """Size of a file."""
 
 
+MAX_JOINTS: Final = 2000
+"""Of a recording, End Sites included; hands and a face make 200."""
+
+
 @dataclass(frozen=True)
 class Recording:
     """Motion of named joints, in the units and axes of its file."""
@@ -63,6 +67,8 @@ def read_bytes(path: Path) -> bytes:
     Raises:
         InvalidInputError: missing, unreadable or larger; the message does not name the file.
     """
+    if path.exists() and not path.is_file():
+        raise InvalidInputError("it is a folder, a pipe or a device, and no file")
     try:
         with path.open("rb") as file:
             data = file.read(MAX_BYTES + 1)
@@ -74,11 +80,13 @@ def read_bytes(path: Path) -> bytes:
 
 
 def check_size(frames: int, joints: int, what: str) -> None:
-    """Refuse more than `MAX_POINTS`, before anything is allocated for them.
+    """Refuse more than `MAX_JOINTS` and `MAX_POINTS`, before anything is allocated for them.
 
     Raises:
         InvalidInputError: the message starts with `what`.
     """
+    if joints > MAX_JOINTS:
+        raise InvalidInputError(f"{what} {joints:,} joints; {MAX_JOINTS:,} are read: export the skeleton of the body")
     if frames * joints > MAX_POINTS:
         counts = f"{min(frames, 10**12):,} frames of {joints:,} joints"
         raise InvalidInputError(f"{what} {counts}; {MAX_POINTS:,} of frames x joints are read: cut it into takes")

@@ -19,6 +19,7 @@ from kinegraph.errors import InvalidInputError
 from kinegraph.motion.skeleton import JOINT_INDEX, JOINT_NAMES, JOINTS, PARENTS, bone_lengths
 from kinegraph.validation import finite_number, short_repr
 from kinegraph_training.data.naming import END, NAMING_CONVENTIONS, plain_name, strip_common_prefix
+from kinegraph_training.data.recording import read_bytes
 
 Point = tuple[str, str, float]
 Source = str | Point
@@ -114,9 +115,9 @@ def read_map(path: Path) -> dict[str, Source]:
         InvalidInputError: no such file, no JSON, an unknown joint, or another kind of entry.
     """
     try:
-        entries = json.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise InvalidInputError(f"{path} cannot be read ({error.strerror}); check the name") from error
+        entries = json.loads(read_bytes(path).decode("utf-8-sig"))
+    except InvalidInputError as error:
+        raise InvalidInputError(f"{path}: {error}") from error
     except (ValueError, RecursionError) as error:
         raise InvalidInputError(f"{path} is no JSON ({str(error)[:200]})") from error
     if not isinstance(entries, dict):
