@@ -112,7 +112,7 @@ def _json_lines(path: Path, text: str) -> Iterator[Line]:
             row = json.loads(line)
         except (ValueError, RecursionError) as error:
             raise InvalidInputError(f"{path}, line {number}: no JSON ({str(error)[:200]})") from error
-        if isinstance(row, dict) and (set(row) - _KEYS or _KEYS <= set(row)):
+        if isinstance(row, dict) and (set(row) - _KEYS or set(row) >= _KEYS):
             raise InvalidInputError(
                 f"{path}, line {number}: has {', '.join(map(short_repr, list(row)[:10]))}; must have file, and either "
                 "caption or captions"
