@@ -142,6 +142,21 @@ def test_one_joint_mapped_twice_is_refused_by_name(tmp_path: Path) -> None:
         read(tmp_path, WALK, joint_sources={"left_foot": "LeftFoot"})
 
 
+def test_a_map_of_names_that_are_known_anyway_changes_nothing(tmp_path: Path) -> None:
+    entries = {
+        "pelvis": "hip",
+        "left_ankle": "lfoot",
+        "left_wrist": "lhand",
+        "right_ankle": "rfoot",
+        "right_wrist": "rhand",
+    }
+    text = EXPORTERS["MakeHuman"].text(31)
+    mapped, plain = read(tmp_path, text, joint_sources=entries), read(tmp_path, text)
+    np.testing.assert_array_equal(mapped.joints, plain.joints)
+    foot = JOINT_NAMES.index("left_foot")
+    assert np.linalg.norm(mapped.joints[:, foot] - TRUTH[:, foot], axis=-1).max() <= 0.01
+
+
 def test_stretching_bones_are_refused_by_name_and_time(tmp_path: Path) -> None:
     text = replace(EXPORTERS["Mixamo"], positions="all").text(31)
     head, motion = text.split("MOTION\n")

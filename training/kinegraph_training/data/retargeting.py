@@ -59,7 +59,7 @@ def find_joint_map(names: tuple[str, ...], overrides: Mapping[str, Source] | Non
     for form in (strip_common_prefix(names), names):
         for name, short in zip(names, form, strict=True):
             known.setdefault(plain_name(short), name)
-    overriding = {joint: _resolve(joint, source, known) for joint, source in (overrides or {}).items()}
+    overriding = {joint: _resolve(joint, source, known, names) for joint, source in (overrides or {}).items()}
     sources: dict[str, dict[str, Source]] = {}
     for convention, table in NAMING_CONVENTIONS.items():
         hits = (
@@ -189,14 +189,14 @@ def _parse_source(path: Path, joint: str, entry: object) -> Source:
     raise InvalidInputError(f'{path}: {joint} is {short_repr(entry)}; it must be "NAME" or ["NAME", "NAME", 0.5]')
 
 
-def _resolve(joint: str, source: Source, known: Mapping[str, str]) -> Source:
-    """Translate the names of a map entry into those of the file."""
+def _resolve(joint: str, source: Source, known: Mapping[str, str], names: tuple[str, ...]) -> Source:
+    """Translate the names of a map entry into those of the file: the very name, or one of the same plain form."""
     wanted = (source,) if isinstance(source, str) else source[:2]
-    names = [known.get(plain_name(name)) for name in wanted]
-    for name, hit in zip(wanted, names, strict=True):
+    hits = [name if name in names else known.get(plain_name(name)) for name in wanted]
+    for name, hit in zip(wanted, hits, strict=True):
         if hit is None:
             raise InvalidInputError(
-                f"the map takes {joint} from {name!r}, which the file lacks; it has {list_names(list(known.values()))}"
+                f"the map takes {joint} from {name[:60]!r}, which the file lacks; it has {list_names(names)}"
             )
-    resolved = [name for name in names if name is not None]
+    resolved = [name for name in hits if name is not None]
     return resolved[0] if isinstance(source, str) else (resolved[0], resolved[1], source[2])
