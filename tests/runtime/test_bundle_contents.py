@@ -33,11 +33,11 @@ from support.synthetic_bundle import (
         (b"no archive", "not an npz"),
         (tables_npz()[:-40], "not an npz"),
         (tables_npz(extra=np.zeros(1)), "may hold"),
-        (tables_npz(bone_lengths=np.zeros((1, 22), np.float32)), "larger than|must be float32"),
+        (tables_npz(bone_lengths=np.zeros((1, 22), np.float32)), "must be float32"),
         (tables_npz(bone_lengths=np.zeros((1, 20), np.float32)), "must be float32"),
         (tables_npz(bone_lengths=np.zeros((1, 21), np.float64)), "must be float32"),
         (tables_npz(bone_lengths=np.full((1, 21), np.nan, np.float32)), "NaN"),
-        (tables_npz(duration=np.zeros((10**6, 8), np.float32)), "larger than"),
+        (tables_npz(duration=np.zeros((10**6, 8), np.float32)), "unpacks to"),
     ],
     ids=["bytes", "cut", "extra", "wide", "short", "double", "nan", "bomb"],
 )
@@ -71,7 +71,7 @@ def test_a_repeated_member_of_the_tables_is_refused(tmp_path: Path) -> None:
     with zipfile.ZipFile(buffer, "a") as archive, pytest.warns(UserWarning, match="Duplicate"):
         archive.writestr("bone_lengths.npy", b"another one")
     folder = write_bundle(tmp_path / "twice", {**bundle_files(), "tables.npz": buffer.getvalue()})
-    with pytest.raises(BundleFormatError, match="once each"):
+    with pytest.raises(BundleFormatError, match="more than once"):
         read_bundle(folder)
 
 

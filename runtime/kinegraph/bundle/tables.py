@@ -5,15 +5,14 @@ They are the weights of the duration model (`kinegraph.conditioning`) and the bo
 
 from __future__ import annotations
 
-import io
-import zipfile
-import zlib
 from collections.abc import Mapping
 from types import MappingProxyType
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
+from numpy.typing import NDArray
 
+from kinegraph.archives import UNREADABLE, read_arrays
 from kinegraph.arrays import FloatArray
 from kinegraph.bundle.manifest import Manifest
 from kinegraph.errors import BundleFormatError
@@ -24,9 +23,6 @@ DURATION: Final = "duration"
 BONE_LENGTHS: Final = "bone_lengths"
 EXTRA_INPUTS: Final = 3
 """Inputs of the duration model besides the sentence embedding: number of actions, number of nodes, and 1."""
-
-_HEADER_BYTES: Final = 4096
-"""Upper limit on the .npy header of a two-dimensional array."""
 
 
 def table_shapes(manifest: Manifest) -> dict[str, tuple[int, int]]:
@@ -50,31 +46,15 @@ def read_tables(data: bytes, manifest: Manifest) -> Mapping[str, FloatArray]:
     """
     shapes = table_shapes(manifest)
     try:
-        _check_members(data, shapes)
-        with np.load(io.BytesIO(data), allow_pickle=False) as archive:
-            present = {name: shape for name, shape in shapes.items() if name in archive.files}
-            return MappingProxyType({name: _table(archive[name], name, shape) for name, shape in present.items()})
-    except (zipfile.BadZipFile, zlib.error, ValueError, OSError, EOFError, KeyError, RuntimeError) as error:
-        # RuntimeError: an encrypted member; NotImplementedError (a RuntimeError): an unknown compression.
+        arrays = read_arrays(data, {name: rows * width * 4 for name, (rows, width) in shapes.items()})
+    except UNREADABLE as error:
         raise BundleFormatError(f"{FILE} is not an npz archive of plain arrays: {error}") from error
+    return MappingProxyType({name: _table(array, name, shapes[name]) for name, array in arrays.items()})
 
 
-def _check_members(data: bytes, shapes: Mapping[str, tuple[int, int]]) -> None:
-    with zipfile.ZipFile(io.BytesIO(data)) as archive:
-        sizes = {member.filename: member.file_size for member in archive.infolist()}
-        count = len(archive.infolist())
-    if set(sizes) - {f"{name}.npy" for name in shapes} or count != len(sizes):
-        raise BundleFormatError(f"{FILE} may hold {sorted(shapes)}, once each, found {sorted(sizes)}")
-    for name, (rows, width) in shapes.items():
-        # Checked before unpacking: a small archive can unpack to any size.
-        if sizes.get(f"{name}.npy", 0) > rows * width * 4 + _HEADER_BYTES:
-            raise BundleFormatError(f"{FILE}: {name} is larger than its shape {(rows, width)} needs")
-
-
-def _table(array: object, name: str, shape: tuple[int, int]) -> FloatArray:
-    if not isinstance(array, np.ndarray) or array.dtype != np.float32 or array.shape != shape:
-        kind = f"{array.dtype} {array.shape}" if isinstance(array, np.ndarray) else type(array).__name__
-        raise BundleFormatError(f"{FILE}: {name} must be float32 {shape}, found {kind}")
+def _table(array: NDArray[Any], name: str, shape: tuple[int, int]) -> FloatArray:
+    if array.dtype != np.float32 or array.shape != shape:
+        raise BundleFormatError(f"{FILE}: {name} must be float32 {shape}, found {array.dtype} {array.shape}")
     if not np.isfinite(array).all():
         raise BundleFormatError(f"{FILE}: {name} holds NaN or infinity")
     array.setflags(write=False)

@@ -9,16 +9,14 @@ from __future__ import annotations
 
 import io
 import json
-import zipfile
-import zlib
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Final, Literal
+from typing import Any, Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
+from kinegraph.archives import UNREADABLE, read_arrays
 from kinegraph.arrays import FloatArray
 from kinegraph.bundle.strict_json import decode, parse_object, to_plain
 from kinegraph.errors import BundleFormatError
@@ -34,8 +32,6 @@ MAX_PHRASES: Final = 1000
 """Actions and styles."""
 MAX_ROWS: Final = 4000
 """Rows of the embeddings."""
-_HEADER_BYTES: Final = 4096
-"""Upper limit on the .npy header of an array."""
 
 ACTION_SENTENCE: Final = "a person {}"
 STYLE_SENTENCE: Final = "a person walks {}"
@@ -176,11 +172,9 @@ def read_vocabulary(data: bytes, width: int) -> Vocabulary:
     """
     limits = {FACTS: MAX_FACTS_BYTES, EMBEDDINGS: MAX_ROWS * width * 2}
     try:
-        _check_members(data, limits)
-        with np.load(io.BytesIO(data), allow_pickle=False) as archive:
-            facts, embeddings = archive[FACTS], archive[EMBEDDINGS]
-    except (zipfile.BadZipFile, zlib.error, ValueError, OSError, EOFError, KeyError, RuntimeError) as error:
-        # RuntimeError: an encrypted member; NotImplementedError (a RuntimeError): an unknown compression.
+        arrays = read_arrays(data, limits)
+        facts, embeddings = arrays[FACTS], arrays[EMBEDDINGS]
+    except UNREADABLE as error:
         raise BundleFormatError(f"{FILE} is not an npz archive of plain arrays: {error}") from error
     _require_array(facts, FACTS, np.uint8, 1)
     _require_array(embeddings, EMBEDDINGS, np.float16, 2)
@@ -189,21 +183,9 @@ def read_vocabulary(data: bytes, width: int) -> Vocabulary:
     return Vocabulary(record, embeddings.astype(np.float32))
 
 
-def _check_members(data: bytes, limits: dict[str, int]) -> None:
-    with zipfile.ZipFile(io.BytesIO(data)) as archive:
-        sizes: Sequence[tuple[str, int]] = [(member.filename, member.file_size) for member in archive.infolist()]
-    if sorted(name for name, _ in sizes) != sorted(f"{name}.npy" for name in limits):
-        raise BundleFormatError(f"{FILE} must hold {sorted(limits)}, once each, found {sorted(n for n, _ in sizes)}")
-    for name, size in sizes:
-        most = limits[name.removesuffix(".npy")] + _HEADER_BYTES
-        # Checked before unpacking: a small archive can unpack to any size.
-        if size > most:
-            raise BundleFormatError(f"{FILE}: {name} unpacks to {size} bytes; {most} are allowed")
-
-
-def _require_array(array: object, name: str, dtype: type, dimensions: int) -> None:
-    if not isinstance(array, np.ndarray) or array.dtype != dtype or array.ndim != dimensions:
-        kind = f"{array.dtype} {array.shape}" if isinstance(array, np.ndarray) else type(array).__name__
+def _require_array(array: NDArray[Any], name: str, dtype: type, dimensions: int) -> None:
+    if array.dtype != dtype or array.ndim != dimensions:
+        kind = f"{array.dtype} {array.shape}"
         raise BundleFormatError(f"{FILE}: {name} must be {np.dtype(dtype)} of {dimensions} dimensions, found {kind}")
 
 

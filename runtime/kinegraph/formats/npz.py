@@ -8,17 +8,15 @@ from __future__ import annotations
 
 import io
 import json
-import math
 import os
-import sys
 import zipfile
-import zlib
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from kinegraph.archives import UNREADABLE, open_archive, read_array
 from kinegraph.errors import InvalidInputError
 from kinegraph.graph import SemanticGraph
 from kinegraph.motion.skeleton import JOINT_NAMES
@@ -31,12 +29,6 @@ _EPOCH: Final = (1980, 1, 1, 0, 0, 0)
 """Earliest time that ZIP can store; used for every entry."""
 _UNIX: Final = 3
 """Code of the system in a ZIP entry; the default would differ on Windows."""
-_UNREADABLE: Final = (
-    *(OSError, EOFError, ValueError, KeyError, TypeError, AttributeError),
-    *(NotImplementedError, RuntimeError, zlib.error, zipfile.BadZipFile),
-)
-"""Exceptions of NumPy and zipfile for files that are no archive, cut short, encrypted or pickled."""
-
 MAX_ARRAY_BYTES: Final = 1 << 27
 """Size of one array that is read, unpacked."""
 
@@ -98,10 +90,10 @@ def decode(data: bytes) -> dict[str, Any]:
         InvalidInputError: not an NPZ file that `encode` could have written.
     """
     try:
-        with zipfile.ZipFile(io.BytesIO(data)) as archive:
+        with open_archive(data) as archive:
             stored = {*archive.namelist()}
             names = (*_NAMES, *(name for name in _OPTIONAL if f"{name}.npy" in stored))
-            fields = {name: _read_array(archive, name) for name in names}
+            fields = {name: read_array(archive, name, MAX_ARRAY_BYTES) for name in names}
         if tuple(fields.pop("joint_names").ravel().tolist()) != JOINT_NAMES:
             raise InvalidInputError(f"it has other joints; kinegraph reads {', '.join(JOINT_NAMES)}")
         joints = fields.pop("joints")
@@ -114,36 +106,13 @@ def decode(data: bytes) -> dict[str, Any]:
         words = tuple(map(Unknown.from_dict, unknown))
     except InvalidInputError:
         raise
-    except (*_UNREADABLE, RecursionError) as error:
+    except UNREADABLE as error:
         raise InvalidInputError(str(error)) from error
     return {"joints": joints, "graph": graph, "unknown": words, "notes": tuple(notes), **values}
 
 
 def _to_json(value: Sequence[Any]) -> str:
     return json.dumps(value, ensure_ascii=False, separators=(",", ":"))
-
-
-def _read_array(archive: zipfile.ZipFile, name: str) -> NDArray[Any]:
-    """Read one array; nothing is allocated that the file does not really hold.
-
-    Raises:
-        ValueError: objects, or another size than the header says.
-        Others of `_UNREADABLE`: no such entry, damaged, or not in the `.npy` format.
-    """
-    entry = archive.getinfo(f"{name}.npy")
-    if entry.file_size > MAX_ARRAY_BYTES:
-        raise ValueError(f"{name} has {entry.file_size} bytes; at most {MAX_ARRAY_BYTES} are read")
-    content = io.BytesIO(archive.read(entry))
-    version = np.lib.format.read_magic(content)
-    if version != (1, 0):
-        raise ValueError(f"{name} is stored in version {version} of the format; kinegraph writes (1, 0)")
-    shape, by_columns, dtype = np.lib.format.read_array_header_1_0(content)
-    if dtype.hasobject or math.prod(shape) * dtype.itemsize != len(content.getbuffer()) - content.tell():
-        raise ValueError(f"{name} does not hold the numbers that its header announces")
-    values = content.read()
-    if dtype.kind == "U" and (np.frombuffer(values, "<u4") > sys.maxunicode).any():
-        raise ValueError(f"{name} holds what is no text")
-    return np.ndarray(shape, dtype, values, order="F" if by_columns else "C")
 
 
 def _npy(array: NDArray[Any]) -> bytes:

@@ -12,8 +12,6 @@ asterisk, because training shows every example a second time without them. Train
 from __future__ import annotations
 
 import io
-import zipfile
-import zlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Final
@@ -21,6 +19,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from kinegraph.archives import UNREADABLE, read_arrays
 from kinegraph.arrays import FloatArray
 from kinegraph.errors import BundleFormatError
 from kinegraph.graph import ARGUMENT_ROLES
@@ -29,6 +28,9 @@ from kinegraph.text.dependency import ParsedTokens, Span, has_word
 
 CLASSES: Final = len(ARGUMENT_ROLES) + 1
 """No argument (class 0), then `ARGUMENT_ROLES` in order."""
+
+_LIMITS: Final = {"names": 1 << 24, "weights": 1 << 24, "provenance": 1 << 16}
+"""Most bytes of each array of `arguments.npz`, unpacked; thirty times those of 20,000 names."""
 
 _MAX_TEXT_TOKENS: Final = 4
 """Longest span whose text is a feature."""
@@ -70,12 +72,13 @@ class ArgumentClassifier:
 
     def __init__(self, data: bytes) -> None:
         stored = _read_arrays(data)
-        names = stored["names"].tobytes().decode("utf-8", errors="replace").split("\n")
-        weights = stored["weights"].astype(np.float32)
-        if weights.shape != (len(names), CLASSES):
+        text, weights = stored["names"].tobytes(), stored["weights"].astype(np.float32)
+        count = text.count(b"\n") + 1
+        if weights.shape != (count, CLASSES):
             raise BundleFormatError(
-                f"arguments.npz holds {len(names)} names and weights {weights.shape}, not ({len(names)}, {CLASSES})"
+                f"arguments.npz holds {count} names and weights {weights.shape}, not ({count}, {CLASSES})"
             )
+        names = text.decode("utf-8", errors="replace").split("\n")
         if not np.isfinite(weights).all():
             raise BundleFormatError("arguments.npz holds weights that are not finite")
         self._index: dict[str, int] = {name: index for index, name in enumerate(names)}
@@ -383,19 +386,12 @@ def read_provenance(data: bytes) -> str:
 
 def _read_arrays(data: bytes) -> dict[str, NDArray[Any]]:
     try:
-        with np.load(io.BytesIO(data), allow_pickle=False) as stored:
-            arrays = {name: stored[name] for name in ("names", "weights", "provenance")}
-    except (
-        OSError,
-        ValueError,
-        KeyError,
-        EOFError,
-        TypeError,
-        AttributeError,
-        zipfile.BadZipFile,
-        zlib.error,
-    ) as error:
+        arrays = read_arrays(data, _LIMITS)
+        missing = sorted(set(_LIMITS) - set(arrays))
+    except UNREADABLE as error:
         raise BundleFormatError(f"arguments.npz does not hold the weights of arguments: {error}") from error
+    if missing:
+        raise BundleFormatError(f"arguments.npz does not hold the weights of arguments: it lacks {missing}")
     if arrays["names"].dtype != np.uint8 or arrays["weights"].dtype != np.float16:
         raise BundleFormatError("arguments.npz must hold names as bytes and weights as float16")
     return arrays
