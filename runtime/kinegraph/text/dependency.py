@@ -7,9 +7,11 @@ word in both, so offsets stay those of the caption.
 from __future__ import annotations
 
 import importlib
+import random
+import sys
 import threading
 from collections.abc import Callable, Collection, Sequence
-from contextlib import suppress
+from contextlib import AbstractContextManager, suppress
 from dataclasses import dataclass
 from typing import Any, Final
 
@@ -74,6 +76,7 @@ def load_pipeline(data: bytes) -> Any:
         BundleFormatError: the bytes do not fit the pipeline.
     """
     try:
+        import_spacy()
         from spacy.lang.en import English
         from spacy.tokenizer import Tokenizer
     except ImportError as error:
@@ -91,12 +94,26 @@ def load_pipeline(data: bytes) -> Any:
         raise BundleFormatError(f"parser.bin does not hold the parser's weights: {error}") from error
 
 
+def import_spacy() -> None:
+    """Import spaCy and leave Python's global random state as it is.
+
+    One of the packages that come with it, rich, draws a number from it when it is imported. It is imported first, in a
+    hundredth of a second, so that hardly any draw of another thread can fall between saving and restoring.
+    """
+    if "rich.style" not in sys.modules:
+        state = random.getstate()
+        with suppress(ImportError):
+            importlib.import_module("rich.style")
+        random.setstate(state)
+    importlib.import_module("spacy.lang.en")
+
+
 def import_in_background() -> None:
     """Start importing spaCy in a thread, so that its half a second overlaps with loading the bundle."""
 
     def load() -> None:
         with suppress(ImportError):  # `load_pipeline` reports it when a sentence has to be parsed
-            importlib.import_module("spacy.lang.en")
+            import_spacy()
 
     threading.Thread(target=load, daemon=True).start()
 
@@ -218,6 +235,11 @@ class DependencyParser:
         return DependencyParse(
             offsets, doc, ParsedTokens.from_doc(doc, normalised.words), normalised.states, normalised.clause_verbs
         )
+
+    def forgetting(self) -> AbstractContextManager[Any]:
+        """Open a block at whose end spaCy forgets the words that came up in it; its documents end there, too."""
+        zone: AbstractContextManager[Any] = self._pipeline.memory_zone()
+        return zone
 
     def _run_pipeline(self, tokens: Sequence[CaptionToken], verbs_at: Collection[int]) -> tuple[Any, NormalisedTokens]:
         """Parse the surrogates of a caption's tokens; returns the document and what was normalised."""

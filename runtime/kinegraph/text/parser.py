@@ -21,7 +21,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from kinegraph.errors import BundleError, InvalidInputError
+from kinegraph.errors import BundleError, InvalidInputError, KinegraphError, ModelError
 from kinegraph.graph import Action, Argument, SemanticGraph
 from kinegraph.limits import MAX_NODES, MAX_TEXT
 from kinegraph.text import lexicon
@@ -57,14 +57,28 @@ class GraphParser:
     def __init__(self, pipeline_bytes: bytes, argument_weights: bytes | None = None) -> None:
         self._dependency_parser = DependencyParser(pipeline_bytes)
         self._classifier = None if argument_weights is None else ArgumentClassifier(argument_weights)
+        self._lock = threading.Lock()
 
     def parse(self, caption: str) -> SemanticGraph:
         """Parse a caption into a graph with at least one action, offsets in characters of the caption.
 
+        One caption at a time: what spaCy remembers of new words is dropped with the caption, and its memory zones
+        belong to one caller. Otherwise 10,000 sentences of new words would keep 20 MB.
+
         Raises:
             InvalidInputError: no text, blank, without a letter or digit, or longer than `limits.MAX_TEXT`.
+            ModelError: spaCy failed.
         """
         check_caption(caption)
+        with self._lock, self._dependency_parser.forgetting():
+            try:
+                return self._parse(caption)
+            except KinegraphError:
+                raise
+            except Exception as error:
+                raise ModelError(f"the parser failed at {caption[:40]!r}: {error}") from error
+
+    def _parse(self, caption: str) -> SemanticGraph:
         parse = self.parse_dependencies(caption)
         frames = predicate_frames(parse)
         add_quantities(caption, parse, frames)

@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from kinegraph.arrays import IntArray
-from kinegraph.errors import BundleFormatError, InvalidInputError, MissingExtraError
+from kinegraph.errors import BundleFormatError, InvalidInputError, MissingExtraError, ModelError
 from kinegraph.limits import MAX_PIECES
+
+_INTERRUPTS: Final = (KeyboardInterrupt, SystemExit)
+"""Exceptions that pass. All others are the tokenizer's: a panic of its Rust code is a `BaseException`."""
 
 
 @dataclass(frozen=True)
@@ -39,7 +43,9 @@ class CaptionTokenizer:
             raise MissingExtraError("captions need the package tokenizers: pip install tokenizers") from error
         try:
             self._tokenizer = Tokenizer.from_str(tokenizer_json.decode("utf-8"))
-        except Exception as error:
+        except _INTERRUPTS:
+            raise
+        except BaseException as error:
             raise BundleFormatError(f"tokenizer.json is not a tokenizer: {error}") from error
         # The file may switch both on. `encode` refuses long captions instead, and a batch of one needs no padding.
         self._tokenizer.no_truncation()
@@ -50,9 +56,15 @@ class CaptionTokenizer:
 
         Raises:
             InvalidInputError: the caption has an unpaired surrogate, or more pieces than the encoder has positions.
+            ModelError: the tokenizer failed.
         """
         check_unicode(text)
-        encoding = self._tokenizer.encode(text)
+        try:
+            encoding = self._tokenizer.encode(text)
+        except _INTERRUPTS:
+            raise
+        except BaseException as error:
+            raise ModelError(f"the tokenizer failed: {error}") from error
         if len(encoding.ids) > MAX_PIECES:
             # Truncation would silently ignore the end of the sentence.
             raise InvalidInputError(
