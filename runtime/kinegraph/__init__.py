@@ -29,6 +29,7 @@ if TYPE_CHECKING:
         ModelError,
         NonFiniteError,
         OutputError,
+        TimedOut,
         UnknownWordsError,
     )
     from kinegraph.graph import SemanticGraph
@@ -59,6 +60,7 @@ _MODULES: Final[dict[str, str]] = {
     "OutputError": "kinegraph.errors",
     "SemanticGraph": "kinegraph.graph",
     "StepInfo": "kinegraph.diffusion.sampling",
+    "TimedOut": "kinegraph.errors",
     "Unknown": "kinegraph.unknown",
     "UnknownWordsError": "kinegraph.errors",
 }
@@ -80,6 +82,7 @@ __all__ = [
     "OutputError",
     "SemanticGraph",
     "StepInfo",
+    "TimedOut",
     "Unknown",
     "UnknownWordsError",
 ]

@@ -15,7 +15,7 @@ from kinegraph.motion.blending import make_loop
 from kinegraph.motion.resampling import in_place, resample
 from kinegraph.motion.skeleton import DEFAULT_NAMES, JOINTS
 from kinegraph.unknown import Unknown
-from kinegraph.validation import check_fps
+from kinegraph.validation import check_flag, check_fps, short_repr
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,12 +58,12 @@ class Clip:
         check_fps(self.fps)
         whole = isinstance(self.seed, int | np.integer) and not isinstance(self.seed, bool)
         if not whole or not 0 <= self.seed < 2**63:
-            raise InvalidInputError(f"seed is {self.seed!r}; it must be a whole number from 0 to 2**63 - 1")
+            raise InvalidInputError(f"seed is {short_repr(self.seed)}; it must be a whole number from 0 to 2**63 - 1")
         _validate_strings(text=self.text, bundle=self.bundle)
         if not isinstance(self.graph, SemanticGraph | None):
             raise InvalidInputError(f"graph is of type {type(self.graph).__name__}; it must be a SemanticGraph or None")
         if not isinstance(self.unknown, tuple) or not all(isinstance(words, Unknown) for words in self.unknown):
-            raise InvalidInputError(f"unknown is {self.unknown!r}; it must be a tuple of Unknown")
+            raise InvalidInputError(f"unknown is {short_repr(self.unknown)}; it must be a tuple of Unknown")
         if not isinstance(self.notes, tuple):
             raise InvalidInputError(f"notes is of type {type(self.notes).__name__}; it must be a tuple of strings")
         _validate_strings(**{f"notes[{index}]": note for index, note in enumerate(self.notes)})
@@ -141,6 +141,8 @@ class Clip:
         # imported here because formats know clips, not the other way round
         from kinegraph.formats import WRITERS, check_clip_target, encode
 
+        check_flag(force, "force")
+        check_flag(root, "root")
         check_clip_target(path, force)
         write_atomically(path, encode(self, suffix_of(path, WRITERS), names, root), force=force)
 
@@ -149,7 +151,7 @@ def _validate_strings(**values: object) -> None:
     """Refuse what is no string, or holds half a surrogate pair, by the name of the field."""
     for name, value in values.items():
         if not isinstance(value, str):
-            raise InvalidInputError(f"{name} is {value!r}; it must be a string")
+            raise InvalidInputError(f"{name} is {short_repr(value)}; it must be a string")
         if any("\ud800" <= character <= "\udfff" for character in value):
             raise InvalidInputError(f"{name} holds half a surrogate pair, which is no text")
 

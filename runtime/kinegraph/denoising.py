@@ -342,8 +342,10 @@ def bind_step_inputs(
     # key_i, value_i (K, h, S, d/h) of every layer, or the projected context (K, S, d) for AGD
     attended = dict(zip(names, run_model(context, names, inputs, "the context encoder"), strict=True))
     latent_tokens = denoiser.get_inputs()[0].shape[1]
+    if not (routing.is_identity and len(routing.context) == len(contexts.kind)):
+        attended = {name: value[routing.context] for name, value in attended.items()}
     constant: dict[str, Any] = {
-        **{name: value[routing.context] for name, value in attended.items()},
+        **attended,
         "src": routing.src,
         "combine": routing.combine,
         # log edge weights and padding, (A, S) -> (A, 1, C, S)

@@ -25,6 +25,7 @@ from numpy.typing import NDArray
 
 from kinegraph.errors import InvalidGraphError
 from kinegraph.graph import Action, Argument, SemanticGraph
+from kinegraph.validation import short_repr
 
 MASK: Final = "[MASK]"
 """Word piece of the text encoder for an unknown word (`manifest.text.mask_token`)."""
@@ -53,12 +54,14 @@ def number_of(graph: SemanticGraph, node: Node) -> int:
         wanted = _fold(node)
         numbers = [number for number, candidate in enumerate(nodes, start=1) if _fold(candidate.text) == wanted]
         if len(numbers) > 1:
-            raise InvalidGraphError(f"{node!r} is the text of nodes {numbers}; say which by number: {listing(graph)}")
+            raise InvalidGraphError(
+                f"{short_repr(node)} is the text of nodes {numbers}; say which by number: {listing(graph)}"
+            )
         if numbers:
             return numbers[0]
     elif type(node) is int and 1 <= node <= len(nodes):
         return node
-    raise InvalidGraphError(f"no node {node!r}; there are {listing(graph)}")
+    raise InvalidGraphError(f"no node {short_repr(node)}; there are {listing(graph)}")
 
 
 def with_weight(graph: SemanticGraph, node: Node, weight: float) -> SemanticGraph:
@@ -112,7 +115,7 @@ def replaced(graph: SemanticGraph, node: Node, text: str) -> SemanticGraph:
     """Replace the words of a node, in the caption too."""
     words = text.strip() if isinstance(text, str) else ""
     if not words:
-        raise InvalidGraphError(f"a node needs words, not {text!r}; to take it away, drop it")
+        raise InvalidGraphError(f"a node needs words, not {short_repr(text)}; to take it away, drop it")
     target = graph.nodes[number_of(graph, node) - 1]
     return _rewrite_caption(graph, target.start, target.end, words)
 
@@ -134,7 +137,7 @@ def with_argument(graph: SemanticGraph, action: Node, role: str, text: str, weig
     """Add an argument to an action, and its text to the caption behind the action and its other arguments."""
     number = number_of(graph, action)
     if number > len(graph.actions):
-        raise InvalidGraphError(f"{action!r} is no action; specifics hang on actions: {listing(graph)}")
+        raise InvalidGraphError(f"{short_repr(action)} is no action; specifics hang on actions: {listing(graph)}")
     target = graph.actions[number - 1]
     position = max([target.end, *(argument.end for argument in target.arguments)])
     extended, start, end = _insert_text(graph, position, f" {_check_words(text)}", 1)
@@ -154,7 +157,7 @@ def _fold(text: str) -> str:
 
 def _check_words(text: str) -> str:
     if not isinstance(text, str) or not text.strip():
-        raise InvalidGraphError(f"a node needs words, not {text!r}")
+        raise InvalidGraphError(f"a node needs words, not {short_repr(text)}")
     return text.strip()
 
 

@@ -22,8 +22,9 @@ from kinegraph.diffusion.energy import SAME, EnergyMap, EnergyMaps, noise_field,
 from kinegraph.diffusion.sampling import OnStep, StepInfo, ddim_coefficients, initial_noise, is_stop
 from kinegraph.errors import Cancelled
 from kinegraph.graph import SemanticGraph
-from kinegraph.options import GenerateOptions, Guidance, Steps, resolve_options
+from kinegraph.options import Deadline, GenerateOptions, Guidance, Steps, resolve_options
 from kinegraph.pipeline import MotionPipeline
+from kinegraph.validation import check_callback
 
 GRID: Final = 21
 """Points along each side of a map: GRID^2 runs of the finest denoiser per map."""
@@ -64,21 +65,24 @@ def energy_maps(
     seed: int | None = None,
     steps: Steps | None = None,
     guidance: Guidance | None = None,
+    timeout: float | None = None,
     on_step: OnStep | None = None,
 ) -> EnergyMaps:
     """Map the energy of each concept, of their composition and of the joint text.
 
     Args:
         pipe: a loaded bundle.
-        concepts, method, text, lambdas, agd, seconds, seed, steps, guidance: as in `MotionPipeline.compose`; the joint
-            text has a map whatever the method.
+        concepts, method, text, lambdas, agd, seconds, seed, steps, guidance, timeout: as in `MotionPipeline.compose`;
+            the joint text has a map whatever the method.
         on_step: called after the steps of the composition, then after every row of the maps (level "energy").
 
     Raises:
         InvalidInputError: as in `MotionPipeline.compose`; nothing has been run.
-        Cancelled: `on_step` returned False.
+        Cancelled: `on_step` returned False, or as `TimedOut`, the timeout is over.
         NonFiniteError: a model produced NaN or infinity.
     """
+    check_callback(on_step, "on_step")
+    on_step = Deadline.start(timeout).watch(on_step)
     spec = validate_composition(concepts, method, text, lambdas, agd)
     options = resolve_options(pipe.manifest, seconds=seconds, seed=seed, steps=steps, guidance=guidance)
     conditions, plan, options = pipe.encode_composition(spec, options, own_length=seconds is None)

@@ -62,3 +62,7 @@ class NonFiniteError(KinegraphError, ArithmeticError):
 
 class Cancelled(KinegraphError):
     """The caller's `on_step` stopped the run."""
+
+
+class TimedOut(Cancelled, TimeoutError):
+    """The call took longer than its `timeout`."""

@@ -93,8 +93,11 @@ class SemanticGraph:
     def __post_init__(self) -> None:
         if not isinstance(self.caption, str) or not 1 <= len(self.caption) <= MAX_TEXT:
             raise InvalidGraphError(f"caption must be a text of 1 to {MAX_TEXT} characters")
+        _check_nodes(self.actions, Action, "actions")
         if not self.actions:
             raise InvalidGraphError("a graph needs at least one action")
+        for index, action in enumerate(self.actions):
+            _check_nodes(action.arguments, Argument, f"actions[{index}].arguments")
         if self.node_count > MAX_NODES:
             raise InvalidGraphError(f"a graph may have {MAX_NODES} nodes, this one has {self.node_count}")
         for index, action in enumerate(self.actions):
@@ -164,6 +167,8 @@ class SemanticGraph:
         Raises:
             InvalidGraphError: invalid JSON, an unknown or missing key, a wrong type, or as `SemanticGraph` raises.
         """
+        if not isinstance(text, str | bytes):
+            raise InvalidGraphError(f"the graph must be JSON text, not {short_repr(text)}")
         try:
             value = json.loads(text, parse_constant=_refuse_constant)
         except (ValueError, RecursionError) as error:
@@ -194,7 +199,7 @@ def _read_argument(value: object, where: str) -> Argument:
 def _check_record(value: object, where: str, required: set[str], optional: set[str]) -> dict[str, Any]:
     if not isinstance(value, dict):
         raise InvalidGraphError(f"{where} must be a JSON object")
-    missing, unknown = sorted(required - set(value)), sorted(set(value) - required - optional)
+    missing, unknown = sorted(required - set(value)), sorted(map(short_repr, set(value) - required - optional))
     if missing:
         raise InvalidGraphError(f"{where} lacks {', '.join(missing)}")
     if unknown:
@@ -210,6 +215,11 @@ def _check_list(value: object, where: str) -> list[object]:
     return value
 
 
+def _check_nodes(nodes: object, kind: type, where: str) -> None:
+    if not isinstance(nodes, tuple) or not all(isinstance(node, kind) for node in nodes):
+        raise InvalidGraphError(f"{where} must be a tuple of {kind.__name__}, not {short_repr(nodes)}")
+
+
 def _check_node(node: Action | Argument, caption: str, where: str) -> None:
     start, end = node.start, node.end
     if type(start) is not int or type(end) is not int or not 0 <= start < end <= len(caption):
@@ -217,7 +227,7 @@ def _check_node(node: Action | Argument, caption: str, where: str) -> None:
             f"{where}: start and end must be offsets into the caption of {len(caption)} characters, "
             f"not {short_repr(start)} and {short_repr(end)}"
         )
-    if node.text != caption[start:end]:
+    if not isinstance(node.text, str) or node.text != caption[start:end]:
         raise InvalidGraphError(
             f"{where}.text {short_repr(node.text)} is not caption[{start}:{end}] {caption[start:end]!r}"
         )

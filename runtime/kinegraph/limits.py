@@ -22,6 +22,9 @@ MAX_READ_FRAMES: Final = 200_000
 MAX_TAKES: Final = 64
 """Clips of one call."""
 
+MAX_SHARED: Final = 32
+"""Clips of one shared run: their keys and values and the decoder's buffers take 150 MB."""
+
 MAX_PARTS: Final = 256
 """Sentences of one sequence."""
 

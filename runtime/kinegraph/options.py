@@ -6,18 +6,21 @@ sequence or a batch, have lengths, seeds and captions of their parts.
 
 from __future__ import annotations
 
+import math
 import re
 import secrets
-from collections.abc import Callable, Mapping, Sequence
+import time
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from types import MappingProxyType
 from typing import Any, Final, TypeVar
 
 from kinegraph.bundle.contract import LEVELS
 from kinegraph.bundle.manifest import Manifest, ScheduleSpec
-from kinegraph.errors import InvalidInputError
+from kinegraph.diffusion.sampling import OnStep, StepInfo, is_stop
+from kinegraph.errors import InvalidInputError, TimedOut
 from kinegraph.limits import MAX_TAKES
-from kinegraph.validation import finite_number, short_repr, whole_number
+from kinegraph.validation import check_flag, finite_number, short_repr, whole_number
 
 MAX_GUIDANCE: Final = 20.0
 MAX_SEED: Final = 2**63
@@ -29,6 +32,7 @@ Steps = int | Sequence[int] | Mapping[str, int]
 Guidance = float | Sequence[float] | Mapping[str, float]
 
 N = TypeVar("N", int, float)
+T = TypeVar("T")
 
 
 @dataclass(frozen=True)
@@ -82,7 +86,7 @@ def resolve_options(
         seed=validate_seed(seed),
         steps=_per_level(steps, "steps", manifest.defaults.steps, validate_steps),
         guidance=_per_level(guidance, "guidance", manifest.defaults.guidance, _validate_guidance),
-        foot_fix=_validate_flag(foot_fix, "foot_fix"),
+        foot_fix=check_flag(foot_fix, "foot_fix"),
     )
 
 
@@ -159,12 +163,6 @@ def _per_level(
             for level in LEVELS
         }
     )
-
-
-def _validate_flag(value: object, name: str) -> bool:
-    if not isinstance(value, bool):
-        raise InvalidInputError(f"{name} must be True or False, not {short_repr(value)}")
-    return value
 
 
 def _validate_finite(value: object, name: str, allowed: str) -> float:
@@ -255,6 +253,58 @@ def validate_lengths(texts: object, seconds: object, most: int, what: str) -> li
     if len(seconds) != len(texts):
         raise InvalidInputError(f"seconds has {len(seconds)} lengths for {len(texts)} sentences")
     return list(seconds)
+
+
+@dataclass(frozen=True)
+class Deadline:
+    """Moment at which a call gives up; checked between sentences and after every diffusion step."""
+
+    timeout: float | None
+    """Seconds that the caller allows; None is no limit."""
+    end: float
+    """Of `time.monotonic`."""
+
+    @staticmethod
+    def start(timeout: object) -> Deadline:
+        """Start the clock.
+
+        Raises:
+            InvalidInputError: `timeout` is neither None nor a number above 0.
+        """
+        if timeout is None:
+            return Deadline(None, math.inf)
+        seconds = finite_number(timeout)
+        if seconds is None or seconds <= 0:
+            raise InvalidInputError(f"timeout must be a number of seconds above 0, or None, not {short_repr(timeout)}")
+        return Deadline(seconds, time.monotonic() + seconds)
+
+    def check(self) -> None:
+        """Give up if the time is over.
+
+        Raises:
+            TimedOut: it is.
+        """
+        if self.timeout is not None and time.monotonic() >= self.end:
+            raise TimedOut(f"stopped after the timeout of {self.timeout:g} s; allow more, or ask for less at once")
+
+    def each(self, items: Iterable[T]) -> Iterator[T]:
+        """Check before each of several items."""
+        for item in items:
+            self.check()
+            yield item
+
+    def watch(self, on_step: OnStep | None) -> OnStep | None:
+        """Check after every step, and ask the caller's `on_step` first; without a timeout it stays what it is."""
+        if self.timeout is None:
+            return on_step
+
+        def after_step(info: StepInfo) -> bool | None:
+            answer = None if on_step is None else on_step(info)
+            if not is_stop(answer):
+                self.check()
+            return answer
+
+        return after_step
 
 
 def parse_numbers(text: str, kind: type[N]) -> N | tuple[N, ...]:

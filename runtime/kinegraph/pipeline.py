@@ -10,10 +10,13 @@ Above 500 lines because all public calls are here, each with all its options and
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, wraps
+from operator import itemgetter
 from pathlib import Path
+from typing import ParamSpec, TypeVar
 
 import onnxruntime
 
@@ -29,11 +32,12 @@ from kinegraph.conditioning import ConditionEncoder, Conditions, GraphArrays, re
 from kinegraph.decoding import MotionDecoder
 from kinegraph.denoising import LatentSampler, OnLatent
 from kinegraph.diffusion.sampling import OnStep, subrange_progress
-from kinegraph.errors import InvalidInputError, UnknownWordsError
+from kinegraph.errors import InvalidInputError, ModelError, UnknownWordsError
 from kinegraph.graph import SemanticGraph
-from kinegraph.limits import MAX_PARTS, MAX_TAKES
+from kinegraph.limits import MAX_PARTS, MAX_SHARED, MAX_TAKES
 from kinegraph.motion.blending import blend_margins, stitch
 from kinegraph.options import (
+    Deadline,
     GenerateOptions,
     Guidance,
     Steps,
@@ -50,9 +54,27 @@ from kinegraph.text.parser import LazyParser, check_caption
 from kinegraph.text.tokenizer import CaptionTokenizer
 from kinegraph.text.vocabulary import find_unknown
 from kinegraph.unknown import Unknown, describe_unknown
+from kinegraph.validation import check_callback, check_flag, short_repr
 
 OnLevel = Callable[[str, Clip], None]
 """Called after a level of `contract.COARSE_DECODERS`, with its name and the clip as far as it has come."""
+
+
+P = ParamSpec("P")
+R = TypeVar("R")
+
+
+def _with_typed_memory_errors(call: Callable[P, R]) -> Callable[P, R]:
+    """Let a call raise `ModelError` where memory ends, also between the runs of models."""
+
+    @wraps(call)
+    def typed(*args: P.args, **kwargs: P.kwargs) -> R:
+        try:
+            return call(*args, **kwargs)
+        except MemoryError as error:
+            raise ModelError("memory ran out; ask for fewer or shorter clips at once") from error
+
+    return typed
 
 
 @dataclass(frozen=True)
@@ -91,8 +113,25 @@ class _EncodedSentence:
         return tuple(dict.fromkeys(note for part in self.parts for note in part.notes))
 
 
+@dataclass(frozen=True, init=False, eq=False, repr=False)
 class MotionPipeline:
-    """A loaded bundle. Any number of threads may share it; each call keeps its state to itself."""
+    """A loaded bundle. Any number of threads may share it; each call keeps its state to itself, and nothing can be set.
+
+    A process that forks may go on to use it in the child, too.
+    """
+
+    manifest: Manifest
+    """What the bundle is: licence, limits, defaults, measured quality."""
+    parser: LazyParser
+    """Text to graph; loaded at the first sentence."""
+    vocabulary: Vocabulary | None
+    """What training showed; None where the bundle does not say."""
+    encoder: ConditionEncoder
+    """Graphs to conditions."""
+    sampler: LatentSampler
+    """Conditions to latents."""
+    decoder: MotionDecoder
+    """Latents to clips."""
 
     def __init__(
         self,
@@ -103,18 +142,16 @@ class MotionPipeline:
         parser: LazyParser,
         vocabulary: Vocabulary | None = None,
     ) -> None:
-        self.manifest = manifest
-        """What the bundle is: licence, limits, defaults, measured quality."""
-        self.parser = parser
-        """Text to graph; loaded at the first sentence."""
-        self.vocabulary = vocabulary
-        """What training showed; None where the bundle does not say."""
-        self.encoder = ConditionEncoder(sessions, tokenizer, manifest, tables)
-        """Graphs to conditions."""
-        self.sampler = LatentSampler(sessions, manifest)
-        """Conditions to latents."""
-        self.decoder = MotionDecoder(sessions, manifest, bones_of(tables))
-        """Latents to clips."""
+        parts = {
+            "manifest": manifest,
+            "parser": parser,
+            "vocabulary": vocabulary,
+            "encoder": ConditionEncoder(sessions, tokenizer, manifest, tables),
+            "sampler": LatentSampler(sessions, manifest),
+            "decoder": MotionDecoder(sessions, manifest, bones_of(tables)),
+        }
+        for name, part in parts.items():
+            object.__setattr__(self, name, part)  # the way around `frozen`, as dataclasses go themselves
 
     @classmethod
     def load(
@@ -134,9 +171,13 @@ class MotionPipeline:
 
         Raises:
             BundleError: missing, altered or unusable; see its subclasses.
-            InvalidInputError: `threads` is out of range.
+            InvalidInputError: `path` is none, `threads` is out of range, or `session_options` are none.
         """
-        bundle = read_bundle(path)
+        if not isinstance(path, str | os.PathLike | None):
+            raise InvalidInputError(
+                f"a bundle is loaded from the path of a folder or by its name, not from {short_repr(path)}"
+            )
+        bundle = read_bundle(path if path is None or isinstance(path, str) else Path(path))
         files = dict(bundle.files)
         bundle = replace(bundle, files={})  # so that only `files` holds the bytes, and a session's go when it is made
         sessions = open_sessions(bundle, threads=threads, options=session_options, files=files)
@@ -152,6 +193,7 @@ class MotionPipeline:
         encoder = self.encoder
         return MotionPipeline(self.manifest, sessions, encoder.tokenizer, encoder.tables, self.parser, self.vocabulary)
 
+    @_with_typed_memory_errors
     def parse(self, text: str) -> SemanticGraph:
         """Parse a sentence into its semantic graph: look at it, edit it, hand it back to `generate`.
 
@@ -179,6 +221,7 @@ class MotionPipeline:
         """
         return _once_each(self._unknown_of_each(texts, strict))
 
+    @_with_typed_memory_errors
     def generate(
         self,
         text: str | SemanticGraph,
@@ -189,6 +232,7 @@ class MotionPipeline:
         guidance: Guidance | None = None,
         foot_fix: bool = True,
         strict: bool = False,
+        timeout: float | None = None,
         on_step: OnStep | None = None,
         on_level: OnLevel | None = None,
     ) -> Clip:
@@ -207,6 +251,7 @@ class MotionPipeline:
             guidance: guidance scale (Eq. A), one number or one per level.
             foot_fix: lock standing feet where they stand (`motion.postprocess.lock_feet`).
             strict: refuse words that the bundle was never shown (`find_unknown`); without it the clip names them.
+            timeout: seconds that the call may take, checked between sentences and after every step; None is no limit.
             on_step: called after every step with a `StepInfo`; returning False stops with `Cancelled`.
             on_level: called with each coarser level and the clip as far as it has come, where the bundle can decode it;
                 not for a clip made of parts.
@@ -214,10 +259,11 @@ class MotionPipeline:
         Raises:
             InvalidInputError: text or an option is outside what the model takes; nothing has been run.
             UnknownWordsError: a word is unknown, and `strict` is set; nothing has been sampled.
-            Cancelled: `on_step` returned False.
+            Cancelled: `on_step` returned False, or as `TimedOut`, the timeout is over.
             NonFiniteError: a model produced NaN or infinity.
         """
         # 1. Check the request
+        deadline = _check_call(timeout, on_step, on_level, strict=strict)
         options = resolve_options(
             self.manifest, seconds=seconds, seed=seed, steps=steps, guidance=guidance, foot_fix=foot_fix
         )
@@ -226,8 +272,9 @@ class MotionPipeline:
         unknown = self.find_unknown(graph, strict=strict)
         # 3. Text encoder and graph attention (Eq. 1-3); the sentence may tell the length
         encoded = self._encode_sentence(graph, options, own_length=seconds is None, is_known=not unknown)
+        deadline.check()
         # 4. Motion -> action -> specific latent; 5. latents -> features -> joints -> clip
-        return replace(self._make_clip(encoded, options.seed, on_step, on_level), unknown=unknown)
+        return replace(self._make_clip(encoded, options.seed, deadline.watch(on_step), on_level), unknown=unknown)
 
     def takes(
         self,
@@ -241,6 +288,7 @@ class MotionPipeline:
         foot_fix: bool = True,
         shared_run: bool = False,
         strict: bool = False,
+        timeout: float | None = None,
         on_step: OnStep | None = None,
     ) -> list[Clip]:
         """Make several clips for one sentence: a `batch` of it alone, `count` takes, 1 to `limits.MAX_TAKES`."""
@@ -254,9 +302,11 @@ class MotionPipeline:
             foot_fix=foot_fix,
             shared_run=shared_run,
             strict=strict,
+            timeout=timeout,
             on_step=on_step,
         )
 
+    @_with_typed_memory_errors
     def batch(
         self,
         texts: Sequence[str | SemanticGraph],
@@ -269,6 +319,7 @@ class MotionPipeline:
         foot_fix: bool = True,
         shared_run: bool = False,
         strict: bool = False,
+        timeout: float | None = None,
         on_step: OnStep | None = None,
     ) -> list[Clip]:
         """Make clips for many sentences: all takes of the first, then of the second ...
@@ -279,8 +330,8 @@ class MotionPipeline:
             texts: sentences or graphs.
             takes: of each; `limits.MAX_TAKES` clips at most in all.
             seconds: one length, one per sentence, or None for what each asks for.
-            seed, steps, guidance, foot_fix, strict: as in `generate`.
-            shared_run: let all clips share the runs of the models, which is faster. Sums of a larger run are rounded in
+            seed, steps, guidance, foot_fix, strict, timeout: as in `generate`.
+            shared_run: let up to 32 clips share the runs of the models: faster. Sums of a larger run are rounded in
                 another order, so a clip then equals that of `generate` to 0.1 mm in an fp32 bundle only; in an int8
                 bundle one scale spans a run, and clips differ by `batch_mm` of the manifest's parity on average.
                 Graphs must have no weighted edges and no negated actions; actions in order are sampled at once.
@@ -290,17 +341,19 @@ class MotionPipeline:
             InvalidInputError, Cancelled, NonFiniteError: as in `generate`; also for too many clips, and for weights in
                 a shared run.
         """
+        deadline = _check_call(timeout, on_step, strict=strict, shared_run=shared_run)
+        on_step = deadline.watch(on_step)
         lengths = validate_lengths(texts, seconds, MAX_TAKES, "a batch")
         options = [
             resolve_options(self.manifest, seconds=length, seed=seed, steps=steps, guidance=guidance, foot_fix=foot_fix)
             for length in lengths
         ]
         seeds = batch_seeds(options[0].seed, len(options), takes)
-        graphs = [self.as_graph(text) for text in texts]
+        graphs = [self.as_graph(text) for text in deadline.each(texts)]
         unknown = self._unknown_of_each(graphs, strict)
         sentences = [
             self._encode_sentence(graph, option, own_length=length is None, is_known=not words, in_order=not shared_run)
-            for graph, option, length, words in zip(graphs, options, lengths, unknown, strict=True)
+            for graph, option, length, words in deadline.each(zip(graphs, options, lengths, unknown, strict=True))
         ]
         if shared_run:
             clips = self._make_together(sentences, seeds, takes, on_step)
@@ -311,6 +364,7 @@ class MotionPipeline:
             ]
         return [replace(clip, unknown=unknown[index // takes]) for index, clip in enumerate(clips)]
 
+    @_with_typed_memory_errors
     def sequence(
         self,
         texts: Sequence[str | SemanticGraph],
@@ -321,6 +375,7 @@ class MotionPipeline:
         guidance: Guidance | None = None,
         foot_fix: bool = True,
         strict: bool = False,
+        timeout: float | None = None,
         on_step: OnStep | None = None,
     ) -> Clip:
         """Make one clip of several sentences, one after another, blended where poses are alike (`motion.blending`).
@@ -330,24 +385,28 @@ class MotionPipeline:
         Args:
             texts: 1 to `limits.MAX_PARTS` sentences or graphs; sentence k is generated with seed + k.
             seconds: of each part: one length, one per sentence, or None for what each asks for.
-            seed, steps, guidance, foot_fix, strict: as in `generate`.
+            seed, steps, guidance, foot_fix, strict, timeout: as in `generate`.
             on_step: as in `generate`; its `done` and `total` are those of all parts.
 
         Raises:
             InvalidInputError, Cancelled, NonFiniteError: as in `generate`.
         """
+        deadline = _check_call(timeout, on_step, strict=strict)
+        on_step = deadline.watch(on_step)
         lengths = validate_lengths(texts, seconds, MAX_PARTS, "a sequence")
         options = [
             resolve_options(self.manifest, seconds=length, seed=seed, steps=steps, guidance=guidance, foot_fix=foot_fix)
             for length in lengths
         ]
-        graphs = [self.as_graph(text) for text in texts]
+        graphs = [self.as_graph(text) for text in deadline.each(texts)]
         unknown_of_each = self._unknown_of_each(graphs, strict)
         unknown = _once_each(unknown_of_each)
         seeds = batch_seeds(options[0].seed, len(texts), takes=1, most=MAX_PARTS)
         sentences = [
             self._encode_sentence(graph, option, own_length=length is None, is_known=not words)
-            for graph, option, length, words in zip(graphs, options, lengths, unknown_of_each, strict=True)
+            for graph, option, length, words in deadline.each(
+                zip(graphs, options, lengths, unknown_of_each, strict=True)
+            )
         ]
         notes = tuple(dict.fromkeys(note for sentence in sentences for note in sentence.notes))
         if len(sentences) == 1:
@@ -360,6 +419,7 @@ class MotionPipeline:
         text = sequence_caption([graph.caption for graph in graphs])
         return replace(self._make_parts(parts, on_step), text=text, unknown=unknown, notes=notes)
 
+    @_with_typed_memory_errors
     def compose(
         self,
         concepts: Sequence[Concept | str | SemanticGraph],
@@ -374,6 +434,7 @@ class MotionPipeline:
         guidance: Guidance | None = None,
         foot_fix: bool = True,
         strict: bool = False,
+        timeout: float | None = None,
         on_step: OnStep | None = None,
         on_level: OnLevel | None = None,
     ) -> Clip:
@@ -390,14 +451,15 @@ class MotionPipeline:
             agd: step sizes (gamma_attn, gamma_reg) of adaptive gradient descent (Eq. 3, 4), each 0 to 1: EnergyMoGen
                 has (0.0004, 0.0004) for several concepts and (0.001, 0.002) for one sentence of several; the default
                 bundle does best with (0.1, 0.1). None is off.
-            seconds, seed, steps, guidance, foot_fix, strict, on_step, on_level: as in `generate`; negated concepts
-                count for `strict`, too.
+            seconds, seed, steps, guidance, foot_fix, strict, timeout, on_step, on_level: as in `generate`; negated
+                concepts count for `strict`, too.
 
         Raises:
             InvalidInputError: a concept, weight or option is outside what can be composed, or the bundle has no
                 graphs for `agd`; nothing has been run.
             Cancelled, NonFiniteError: as in `generate`.
         """
+        deadline = _check_call(timeout, on_step, on_level, strict=strict)
         spec = validate_composition(concepts, method, text, lambdas, agd)
         options = resolve_options(
             self.manifest, seconds=seconds, seed=seed, steps=steps, guidance=guidance, foot_fix=foot_fix
@@ -405,9 +467,10 @@ class MotionPipeline:
         named = [concept.text for concept in (*spec.concepts, *spec.negated)]
         unknown = self.find_unknown(*named, *([] if text is None else [text]), strict=strict)
         conditions, plan, options = self.encode_composition(spec, options, own_length=seconds is None)
+        deadline.check()
         caption = spec.joint.caption if isinstance(spec.joint, SemanticGraph) else spec.joint
         on_latent = self._on_latent(on_level, options, caption)
-        latents = self.sampler.sample(conditions, plan.weights, [options], on_step, on_latent)
+        latents = self.sampler.sample(conditions, plan.weights, [options], deadline.watch(on_step), on_latent)
         return replace(self.decoder.decode(latents, [options], [caption])[0], unknown=unknown)
 
     def encode_composition(
@@ -554,8 +617,12 @@ class MotionPipeline:
         conditions = repeat_rows(self.encoder.attend([array for part in parts for array in part.features]), takes)
         sampled = [part for part in parts for _ in range(takes)]
         options = [replace(part.options, seed=seed) for part, seed in zip(sampled, seeds, strict=True)]
-        latents = self.sampler.sample(conditions, None, options, on_step)
-        clips = self.decoder.decode(latents, options, [part.graph.caption for part in sampled])
+        runs = [slice(first, first + MAX_SHARED) for first in range(0, len(sampled), MAX_SHARED)]
+        clips: list[Clip] = []
+        for index, run in enumerate(runs):
+            progress = subrange_progress(on_step, index, len(runs))
+            latents = self.sampler.sample(conditions.map(itemgetter(run)), None, options[run], progress)
+            clips += self.decoder.decode(latents, options[run], [part.graph.caption for part in sampled[run]])
         return [replace(clip, graph=part.graph, notes=part.notes) for clip, part in zip(clips, sampled, strict=True)]
 
     def _on_latent(self, on_level: OnLevel | None, options: GenerateOptions, caption: str) -> OnLatent:
@@ -566,6 +633,21 @@ class MotionPipeline:
                 on_level(level, self.decoder.decode(latents, [options], [caption], level)[0])
 
         return decode_level
+
+
+def _check_call(
+    timeout: object, on_step: object, on_level: object = None, *, strict: object, shared_run: object = False
+) -> Deadline:
+    """Check what callers ask besides motion, and start the clock.
+
+    Raises:
+        InvalidInputError: a callback is no function, a flag no bool, or a timeout no number above 0.
+    """
+    check_callback(on_step, "on_step")
+    check_callback(on_level, "on_level")
+    check_flag(strict, "strict")
+    check_flag(shared_run, "shared_run")
+    return Deadline.start(timeout)
 
 
 def _once_each(of_each: Sequence[Sequence[Unknown]]) -> tuple[Unknown, ...]:

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -127,10 +128,17 @@ def _spoken_seconds(quantity: Quantity, manifest: Manifest) -> tuple[float | Non
 
 
 def _as_trained(graph: SemanticGraph) -> SemanticGraph:
-    """Tell a graph as captions of training are told: in the third person, in words that they have."""
-    if _TOLD.match(graph.caption) is None:
-        graph = in_third_person(graph)
-    return known_wording(graph) if _WORDINGS.search(graph.caption) else graph
+    """Tell a graph as captions of training are told: in the third person, in words that they have.
+
+    A graph that has no room left for the words stays as it is.
+    """
+    with suppress(InvalidGraphError):
+        if _TOLD.match(graph.caption) is None:
+            graph = in_third_person(graph)
+    with suppress(InvalidGraphError):
+        if _WORDINGS.search(graph.caption):
+            graph = known_wording(graph)
+    return graph
 
 
 def _without(graph: SemanticGraph, quantity: Quantity) -> SemanticGraph:

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from typing import Any, Final, Literal, get_args
 
 from kinegraph.errors import InvalidInputError
+from kinegraph.validation import short_repr
 
 Reason = Literal["word", "combination", "people"]
 """Why a span is unknown.
@@ -52,13 +53,14 @@ class Unknown:
         if not _is_text(self.text) or not self.text:
             raise InvalidInputError(f"the text of unknown words must be a text of at most {_MAX_TEXT} characters")
         if type(self.start) is not int or type(self.end) is not int or self.end - self.start != len(self.text):
-            raise InvalidInputError(f"unknown words {self.text!r} cannot span {self.start!r} to {self.end!r}")
+            span = f"{short_repr(self.start)} to {short_repr(self.end)}"
+            raise InvalidInputError(f"unknown words {self.text!r} cannot span {span}")
         if self.start < 0:
-            raise InvalidInputError(f"unknown words {self.text!r} cannot begin at {self.start}")
+            raise InvalidInputError(f"unknown words {self.text!r} cannot begin at {short_repr(self.start)}")
         fits = isinstance(self.nearest, tuple) and len(self.nearest) <= MAX_NEAREST and all(map(_is_text, self.nearest))
         if not fits:
             raise InvalidInputError(f"nearest of {self.text!r} must be at most {MAX_NEAREST} phrases")
-        if self.reason not in get_args(Reason):
+        if not isinstance(self.reason, str) or self.reason not in get_args(Reason):
             raise InvalidInputError(f"the reason of {self.text!r} must be one of {', '.join(get_args(Reason))}")
 
     def to_dict(self) -> dict[str, Any]:

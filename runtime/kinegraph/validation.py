@@ -47,13 +47,34 @@ def finite_number(value: object) -> float | None:
     return number if math.isfinite(number) else None
 
 
+def check_flag(value: object, name: str) -> bool:
+    """Return a flag, or refuse what is neither True nor False.
+
+    Raises:
+        InvalidInputError: naming the option.
+    """
+    if not isinstance(value, bool):
+        raise InvalidInputError(f"{name} must be True or False, not {short_repr(value)}")
+    return value
+
+
+def check_callback(value: object, name: str) -> None:
+    """Refuse a callback that cannot be called.
+
+    Raises:
+        InvalidInputError: naming the option.
+    """
+    if value is not None and not callable(value):
+        raise InvalidInputError(f"{name} must be a function or None, not {short_repr(value)}")
+
+
 def check_fps(fps: object) -> None:
     """Refuse values that are no frame rate.
 
     Raises:
         InvalidInputError: not a number from 1 to `MAX_FPS`.
     """
-    if isinstance(fps, bool) or not isinstance(fps, int | float | np.number) or not 1 <= fps <= MAX_FPS:
+    if isinstance(fps, bool) or not isinstance(fps, int | float | np.integer | np.floating) or not 1 <= fps <= MAX_FPS:
         raise InvalidInputError(f"fps must be 1 to {MAX_FPS:g} frames per second, not {short_repr(fps)}")
 
 

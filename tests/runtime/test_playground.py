@@ -137,14 +137,14 @@ def test_a_reader_who_leaves_stops_the_clip(
     stopped = threading.Event()
     generate = pipe.generate
 
-    def watched(*arguments: Any, **options: Any) -> Any:
+    def watched(_: MotionPipeline, *arguments: Any, **options: Any) -> Any:
         try:
             return generate(*arguments, **options)
         except Cancelled:
             stopped.set()
             raise
 
-    monkeypatch.setattr(pipe, "generate", watched)
+    monkeypatch.setattr(MotionPipeline, "generate", watched)
     with server.events(LONG, tab="leaves") as events:
         while next(events)["event"] != "step":
             pass

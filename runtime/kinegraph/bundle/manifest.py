@@ -33,6 +33,7 @@ from kinegraph.errors import BundleFormatError, BundleIntegrityError, InvalidInp
 from kinegraph.graph import ROLES
 from kinegraph.limits import MAX_FRAMES
 from kinegraph.motion.skeleton import JOINT_NAMES, PARENTS
+from kinegraph.validation import short_repr
 
 REQUIRED_TABLES: Final[frozenset[str]] = frozenset(("tokenizer.json", "tables.npz"))
 """Files that every bundle has besides its graphs."""
@@ -430,12 +431,12 @@ def _check_files(files: Mapping[str, FileSpec], operators: Mapping[str, tuple[st
         _require(
             name in known,
             "files",
-            f"names {name!r}, no file of a bundle of format {version}; allowed are {sorted(known)}",
+            f"names {short_repr(name)}, no file of a bundle of format {version}; allowed are {sorted(known)}",
         )
         _require(
             re.fullmatch("[0-9a-f]{64}", entry.sha256) is not None,
             f"files.{name}.sha256",
-            f"must be 64 hex digits, found {entry.sha256!r}",
+            f"must be 64 hex digits, found {short_repr(entry.sha256)}",
         )
         _require(entry.bytes >= 0, f"files.{name}.bytes", f"must not be negative, found {entry.bytes}")
     missing = sorted(required - set(files))

@@ -145,6 +145,8 @@ def open_sessions(
     """
     if threads is not None and options is not None:
         raise InvalidInputError("give either threads or session_options: the options hold a thread count already")
+    if not isinstance(options, onnxruntime.SessionOptions | None):
+        raise InvalidInputError(f"session_options must be onnxruntime.SessionOptions, not {short_repr(options)}")
     wide = options or session_options(_thread_count(threads, min(2, available_cpus())), spinning=threads is not None)
     narrow = options or session_options(_thread_count(threads, 1))
     contracts = bundle.manifest.contracts

@@ -78,7 +78,7 @@ def _decode(kind: Any, value: object, where: str) -> object:
         return types.MappingProxyType({_text(k, where): _decode(inner, v, f"{where}.{k}") for k, v in record.items()})
     if origin is Literal:
         if not isinstance(value, str) or value not in get_args(kind):
-            raise BundleFormatError(f"{where} must be one of {list(get_args(kind))}, found {value!r}")
+            raise BundleFormatError(f"{where} must be one of {list(get_args(kind))}, found {short_repr(value)}")
         return value
     return _decode_scalar(get_args(kind) or (kind,), value, where)
 
@@ -89,7 +89,7 @@ def _decode_record(kind: Any, value: object, where: str) -> object:
     names = [field.name for field in dataclasses.fields(kind)]
     for key in record:
         if key not in names:
-            raise BundleFormatError(f"{where}: unknown key {key!r}; allowed are {names}")
+            raise BundleFormatError(f"{where}: unknown key {short_repr(key)}; allowed are {names}")
     for name in names:
         if name not in record:
             raise BundleFormatError(f"{where}: missing key {name!r}")
@@ -125,12 +125,16 @@ def _expect(kind: type[T], value: object, where: str) -> T:
 
 def _text(value: str, where: str) -> str:
     if not value.isprintable():
-        raise BundleFormatError(f"{where}: {value!r} holds characters that cannot be printed")
+        raise BundleFormatError(f"{where}: {short_repr(value)} holds characters that cannot be printed")
     return value
 
 
 def _kind(value: object) -> str:
-    return "null" if value is None else f"{type(value).__name__} {str(value)[:40]!r}"
+    """Name the type of a value, and show a scalar; a list may be nested deeper than `repr` can follow."""
+    if value is None:
+        return "null"
+    name = type(value).__name__
+    return f"{name} {short_repr(value)}" if isinstance(value, str | int | float) else name
 
 
 def to_plain(value: object) -> Any:

@@ -74,6 +74,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     except (KeyboardInterrupt, Cancelled):
         print("kinegraph: cancelled", file=sys.stderr)
         return EXIT_INTERRUPTED
+    except MemoryError:
+        print("kinegraph: error: memory ran out; ask for less at once", file=sys.stderr)
+        return EXIT_ERROR
     except KinegraphError as error:
         print(f"kinegraph: error: {one_line(error)}", file=sys.stderr)
         return EXIT_ERROR

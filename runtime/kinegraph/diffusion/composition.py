@@ -55,6 +55,11 @@ class AttentionRouting:
     combine: FloatArray
     """(R, A) weights by which attention outputs go back into the latent rows; z' of Eq. 9."""
 
+    @property
+    def is_identity(self) -> bool:
+        """Whether attention row k attends to context k, so that contexts need no copy."""
+        return bool(np.array_equal(self.context, np.arange(len(self.context))))
+
     @staticmethod
     def identity(count: int) -> AttentionRouting:
         """Let latent row k attend to context k alone."""

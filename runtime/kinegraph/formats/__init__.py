@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any, Final, cast
 from kinegraph.errors import InvalidInputError, MissingExtraError
 from kinegraph.files import check_target, suffix_of
 from kinegraph.motion.skeleton import CONVENTIONS, DEFAULT_NAMES
+from kinegraph.validation import short_repr
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -91,10 +92,12 @@ def read(path: str | os.PathLike[str], *, suffix: str | None = None) -> Clip:
     Raises:
         InvalidInputError: no such file, another format, or not a file that kinegraph wrote.
     """
+    if not isinstance(path, str | os.PathLike):
+        raise InvalidInputError(f"a clip is read from a path, not from {short_repr(path)}")
     name, file = repr(str(path)), Path(path)
     suffix = file.suffix.lower() if suffix is None else suffix
-    if suffix not in READERS:
-        actual = f"the suffix {suffix!r}" if suffix else "no suffix"
+    if not isinstance(suffix, str) or suffix not in READERS:
+        actual = f"the suffix {short_repr(suffix)}" if suffix else "no suffix"
         raise InvalidInputError(f"{name} has {actual}; clips are read from {', '.join(sorted(READERS))}")
     data = _read_bytes(file)
     try:
@@ -150,8 +153,8 @@ def check_names(suffix: str, names: str) -> None:
     Raises:
         InvalidInputError: naming the conventions, or the formats that have them.
     """
-    if names not in CONVENTIONS:
-        raise InvalidInputError(f"joint names must be one of {', '.join(CONVENTIONS)}, not {names!r}")
+    if not isinstance(names, str) or names not in CONVENTIONS:
+        raise InvalidInputError(f"joint names must be one of {', '.join(CONVENTIONS)}, not {short_repr(names)}")
     if names != DEFAULT_NAMES and suffix not in NAMED:
         raise InvalidInputError(f"joint names {names!r} are for {', '.join(sorted(NAMED))}, not for {suffix}")
 
