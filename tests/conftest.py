@@ -1,4 +1,4 @@
-"""Fixtures of several folders, figures printed after the tests, and the option `--only-skipped`."""
+"""Fixtures of several folders, figures printed after the tests, and the options `--only-skipped` and `--promises`."""
 
 from __future__ import annotations
 
@@ -8,11 +8,13 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Final
 
+import onnxruntime
 import pytest
 
 from kinegraph import MotionPipeline
 from kinegraph.bundle import reader
 from support.playground import TEXT, PlaygroundClient, running_playground
+from support.synthetic_bundle import write_bundle
 from support.toy import with_parser
 
 _FIGURE: Final = "figure"
@@ -49,6 +51,19 @@ def toy(toy_bundle: Path) -> MotionPipeline:
 
 
 @pytest.fixture
+def bundle(tmp_path: Path) -> Path:
+    return write_bundle(tmp_path / "bundle")
+
+
+@pytest.fixture
+def no_sessions(monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(*_: object, **__: object) -> None:
+        raise AssertionError("a session was made from a bundle that was not checked")
+
+    monkeypatch.setattr(onnxruntime, "InferenceSession", refuse)
+
+
+@pytest.fixture
 def toy_by_default(toy_bundle: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Let commands of this process that name no bundle load the toy."""
     monkeypatch.setattr(reader, "DEFAULT_BUNDLE", toy_bundle)
@@ -74,6 +89,18 @@ def pytest_addoption(parser: pytest.Parser) -> None:
         action="store_true",
         help="run what the last whole run skipped, and tests marked with_extras: for a second run with more installed",
     )
+    parser.addoption(
+        "--promises",
+        choices=("short", "long"),
+        default="short",
+        help="how much tests/promises tries: short is for every day, long has the counts that SECURITY.md promises",
+    )
+
+
+@pytest.fixture(scope="session")
+def is_long(request: pytest.FixtureRequest) -> bool:
+    """Whether `--promises=long` asks for the counts of SECURITY.md."""
+    return bool(request.config.getoption("--promises") == "long")
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:

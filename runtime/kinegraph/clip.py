@@ -117,6 +117,7 @@ class Clip:
         Raises:
             InvalidInputError: fewer than 8 frames.
         """
+        check_flag(foot_fix, "foot_fix")
         return replace(self, joints=make_loop(self.joints, self.fps, foot_fix=foot_fix), loops=True)
 
     def save(
@@ -162,6 +163,8 @@ def _validate_joints(joints: object) -> FloatArray:
     Raises:
         InvalidInputError: not real numbers, another shape, or not finite.
     """
+    if not isinstance(joints, np.ndarray | list | tuple):
+        raise InvalidInputError(f"joints must be an array, not {short_repr(joints)}")
     try:
         array = np.asarray(joints)
     except ValueError as error:

@@ -150,6 +150,8 @@ def validate_composition(concepts: object, method: object, text: Any, lambdas: o
             "fused", shares that are no three numbers from 0 to 1 with sum 1, weights that Eq. 9 cannot divide by, or
             step sizes that are no two numbers from 0 to 1.
     """
+    if not isinstance(method, str) or method not in METHODS:
+        raise InvalidInputError(f"method must be one of {', '.join(METHODS)}, not {short_repr(method)}")
     checked = validate_concepts(concepts)
     wanted = checked if method == "semantic" else tuple(concept for concept in checked if concept.weight > 0)
     negated = () if method == "semantic" else tuple(concept for concept in checked if concept.weight < 0)
@@ -187,15 +189,13 @@ def _validate_step_sizes(agd: object) -> tuple[float, float]:
 
 
 def validate_lambdas(
-    method: object, lambdas: object, text: object, concepts: Sequence[Concept]
+    method: str, lambdas: object, text: object, concepts: Sequence[Concept]
 ) -> tuple[float, float, float]:
-    """Check the method and the shares of the latent-aware, semantic-aware and joint-text terms.
+    """Check the shares of the latent-aware, semantic-aware and joint-text terms.
 
     Raises:
         InvalidInputError: see `validate_composition`.
     """
-    if not isinstance(method, str) or method not in METHODS:
-        raise InvalidInputError(f"method must be one of {', '.join(METHODS)}, not {short_repr(method)}")
     for name, value in (("lambdas", lambdas), ("text", text)):
         if value is not None and method != "fused":
             raise InvalidInputError(f"{name} is for method 'fused'; method {short_repr(method)} has none")

@@ -4,23 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import onnxruntime
 import pytest
-
-from support.synthetic_bundle import write_bundle
-
-
-@pytest.fixture
-def bundle(tmp_path: Path) -> Path:
-    return write_bundle(tmp_path / "bundle")
-
-
-@pytest.fixture
-def no_sessions(monkeypatch: pytest.MonkeyPatch) -> None:
-    def refuse(*_: object, **__: object) -> None:
-        raise AssertionError("a session was made from a bundle that was not checked")
-
-    monkeypatch.setattr(onnxruntime, "InferenceSession", refuse)
 
 
 @pytest.fixture

@@ -108,9 +108,7 @@ def test_a_graph_of_the_caller_needs_no_parser(words: MotionPipeline) -> None:
     width = words.manifest.text.width
     plain = MotionPipeline.load(TOY_BUNDLE, threads=1)
     encoder, vocabulary = plain.encoder, read_vocabulary(vocabulary_file(width), width)
-    pipe = MotionPipeline(
-        plain.manifest, encoder.sessions, encoder.tokenizer, encoder.tables, plain.parser, vocabulary
-    )
+    pipe = MotionPipeline(plain.manifest, encoder.sessions, encoder.tokenizer, encoder.tables, plain.parser, vocabulary)
     with pytest.raises(UnknownWordsError, match="juggles"):
         pipe.generate(graph_of(JUGGLES, "walks", "juggles"), strict=True, **FEW)
     assert pipe.generate(graph_of("a person walks", "walks"), strict=True, **FEW).unknown == ()

@@ -28,6 +28,7 @@ from kinegraph.bundle.tables import read_tables
 from kinegraph.bundle.vocabulary import FILE as VOCABULARY
 from kinegraph.bundle.vocabulary import Vocabulary, read_vocabulary
 from kinegraph.errors import BundleError, BundleFormatError, BundleIntegrityError
+from kinegraph.validation import short_repr
 
 MANIFEST: Final = "manifest.json"
 
@@ -141,6 +142,8 @@ def _folder(path: str | Path | None) -> Path:
         raise BundleError(
             "this installation carries no default bundle; install kinegraph again, or name a bundle's folder"
         )
+    if not isinstance(path, str | os.PathLike | None):
+        raise BundleError(f"a bundle is named by the path of a folder, not by {short_repr(path)}")
     try:
         # Links on the path to the folder are the caller's choice; inside the folder none are allowed.
         folder = Path(DEFAULT_BUNDLE if path is None else path).resolve(strict=True)

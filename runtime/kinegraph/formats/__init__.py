@@ -97,7 +97,7 @@ def read(path: str | os.PathLike[str], *, suffix: str | None = None) -> Clip:
     name, file = repr(str(path)), Path(path)
     suffix = file.suffix.lower() if suffix is None else suffix
     if not isinstance(suffix, str) or suffix not in READERS:
-        actual = f"the suffix {short_repr(suffix)}" if suffix else "no suffix"
+        actual = "no suffix" if isinstance(suffix, str) and not suffix else f"the suffix {short_repr(suffix)}"
         raise InvalidInputError(f"{name} has {actual}; clips are read from {', '.join(sorted(READERS))}")
     data = _read_bytes(file)
     try:

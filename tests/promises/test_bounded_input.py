@@ -1,0 +1,383 @@
+"""Promise 4, bounded input: any input gives a motion or a typed error, within 5 s and 256 MB."""
+
+from __future__ import annotations
+
+import json
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import psutil
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from kinegraph import Clip, Concept, KinegraphError, MotionPipeline, SemanticGraph, cli, edits
+from kinegraph.bench import GRAPH
+from kinegraph.bundle.manifest import decode_manifest
+from kinegraph.bundle.verify import verify_bundle
+from kinegraph.energy import energy_maps
+from kinegraph.errors import BundleFormatError, InvalidInputError
+from kinegraph.formats import read
+from kinegraph.formats.npz import read_npz
+from kinegraph.graph import Action, Argument
+from kinegraph.limits import MAX_CONCEPTS, MAX_ROWS, MAX_TAKES
+from kinegraph.motion.skeleton import JOINTS
+from support.junk import HUGE, JUNK, nested
+from support.shared import shared_path
+from support.synthetic_bundle import manifest_object, sealed
+
+pytest.importorskip("spacy")
+
+MOST_SECONDS = 5.0
+MOST_MEGABYTES = 256.0
+FEW: dict[str, Any] = {"seconds": 1, "seed": 1, "steps": 1}
+
+
+@contextmanager
+def bounded(seconds: float = MOST_SECONDS) -> Iterator[None]:
+    """Hold a block to the limits: time of the CPU, since machines that run tests are busy, and memory at its peak."""
+    process = psutil.Process()
+    before, start, done = process.memory_info().rss, time.process_time(), threading.Event()
+    peak = [before]
+
+    def watch() -> None:
+        while not done.wait(0.005):
+            peak[0] = max(peak[0], process.memory_info().rss)
+
+    watcher = threading.Thread(target=watch)
+    watcher.start()
+    try:
+        yield
+    finally:
+        done.set()
+        watcher.join()
+    assert time.process_time() - start <= seconds
+    assert (peak[0] - before) / 1e6 <= MOST_MEGABYTES
+
+
+# Any request
+
+WORDS = (
+    "a person walks runs forward slowly waves the left right hand and then turns without never three times two steps"
+)
+SENTENCES = st.lists(st.sampled_from(WORDS.split()), max_size=30).map(" ".join)
+TEXTS = st.text(max_size=40) | st.text(min_size=400, max_size=600) | SENTENCES | SENTENCES.map(lambda text: text * 9)
+NUMBERS = st.floats() | st.integers() | st.floats(0, 10) | st.sampled_from([1, 2, HUGE, 0.5, 100, -1])
+ANYTHING = st.sampled_from(JUNK)
+
+
+@st.composite
+def graphs(draw: st.DrawFn) -> object:
+    """A graph with any weights, or an object that is nearly one."""
+    words = draw(st.lists(st.sampled_from(WORDS.split()), min_size=1, max_size=34))
+    caption, actions, start = " ".join(words), [], 0
+    for word in words:
+        end = start + len(word)
+        node = {"text": word, "start": start, "end": end, "weight": draw(st.sampled_from([1, 1, 1, 0, 0.5, 2]))}
+        if actions and draw(st.booleans()):
+            actions[-1]["arguments"].append({**node, "role": "ARGM-MNR"})
+        else:
+            actions.append({**node, "arguments": [], "negated": draw(st.sampled_from([False, False, True]))})
+        start = end + 1
+    graph: dict[str, Any] = {"caption": caption, "actions": actions}
+    if draw(st.integers(0, 3)) == 0:
+        key = draw(st.sampled_from(["text", "start", "end", "weight", "negated", "order", "arguments", "more"]))
+        draw(st.sampled_from(actions))[key] = draw(NUMBERS | ANYTHING)
+    return graph
+
+
+@st.composite
+def requests(draw: st.DrawFn) -> tuple[str, list[Any], dict[str, Any]]:
+    """A method of the pipeline with its arguments: texts or graphs (as plain values), and options."""
+    inputs = TEXTS | graphs()
+    call = draw(st.sampled_from(["generate", "compose", "takes", "batch", "sequence", "parse", "find_unknown"]))
+    options = {
+        "seconds": st.sampled_from([0.5, 1, 2, 9.8, None]) | NUMBERS,
+        "seed": st.integers(0, 2**63 - 1) | NUMBERS,
+        "guidance": st.floats(0, 20) | st.lists(NUMBERS, max_size=4) | NUMBERS,
+        "foot_fix": st.booleans() | ANYTHING,
+        "strict": st.booleans() | ANYTHING,
+        "timeout": st.sampled_from([None, 60, 1e-9]) | NUMBERS | ANYTHING,
+        "on_step": st.sampled_from([None, bool, lambda _: False]),
+    }
+    if call in ("takes", "batch"):
+        options["shared_run"] = st.booleans() | ANYTHING
+    if call == "compose":
+        options |= {
+            "lambdas": st.tuples(NUMBERS, NUMBERS, NUMBERS) | st.just((0, 0.1, 0.9)),
+            "agd": st.just((0.1, 0.1)),
+        }
+        options |= {"method": st.sampled_from(["latent", "semantic", "fused", "other"])}
+    chosen: dict[str, Any] = {}
+    if call not in ("parse", "find_unknown"):
+        steps = draw(st.sampled_from([1, 2, (1, 2, 1)]) | (NUMBERS if draw(st.integers(0, 9)) == 0 else st.just(1)))
+        chosen["steps"] = steps if not isinstance(steps, int) or not 2 < steps < 999 else 2
+        names = draw(st.lists(st.sampled_from(sorted(options)), unique=True, max_size=2))
+        chosen |= {name: draw(options[name] if draw(st.integers(0, 9)) else ANYTHING) for name in names}
+    many = draw(st.lists(inputs, max_size=3))
+    if call == "compose" and draw(st.booleans()):
+        return call, [[{"concept": item, "weight": draw(NUMBERS)} for item in many]], chosen
+    if call == "takes":
+        return call, [draw(inputs), draw(st.integers(-1, 3) | NUMBERS)], chosen
+    if call in ("compose", "batch", "sequence"):
+        return call, [many if draw(st.integers(0, 9)) else draw(ANYTHING)], chosen
+    return call, [draw(inputs) if draw(st.integers(0, 9)) else draw(ANYTHING)], chosen
+
+
+def build(value: object) -> object:
+    """Make graphs and concepts of their plain values, as a caller would."""
+    if isinstance(value, dict) and "caption" in value:
+        return SemanticGraph.from_dict(value)
+    if isinstance(value, dict) and "concept" in value:
+        return Concept(build(value["concept"]), value["weight"])  # type: ignore[arg-type]
+    return [build(item) for item in value] if isinstance(value, list) and len(value) < 9 else value
+
+
+def check_result(result: object) -> None:
+    for clip in result if isinstance(result, list) else [result]:
+        if isinstance(clip, Clip):
+            assert clip.joints.shape[1:] == (JOINTS, 3) and np.isfinite(clip.joints).all()
+
+
+@pytest.mark.timeout(7200)
+def test_any_request_gives_a_motion_or_a_typed_error(
+    toy: MotionPipeline, is_long: bool, figure: Callable[[str], None]
+) -> None:
+    outcomes = {"motion": 0, "error": 0}
+
+    @settings(
+        max_examples=10_000 if is_long else 120, deadline=None, database=None, suppress_health_check=[*HealthCheck]
+    )
+    @given(requests())
+    def check(request: tuple[str, list[Any], dict[str, Any]]) -> None:
+        call, arguments, options = request
+        start = time.process_time()
+        try:
+            check_result(getattr(toy, call)(*map(build, arguments), **options))
+            outcomes["motion"] += 1
+        except KinegraphError as error:
+            assert str(error)
+            outcomes["error"] += 1
+        assert time.process_time() - start <= MOST_SECONDS
+
+    with bounded(1e9):
+        check()
+    assert min(outcomes.values()) > 10
+    figure(f"any request: {outcomes['motion']} motions, {outcomes['error']} typed errors, nothing else")
+
+
+@pytest.mark.timeout(3600)
+def test_any_text_is_parsed_or_refused(toy: MotionPipeline, is_long: bool) -> None:
+    @settings(max_examples=10_000 if is_long else 80, deadline=None, database=None)
+    @given(TEXTS)
+    def check(text: str) -> None:
+        with suppress(InvalidInputError):
+            assert toy.parse(text).caption == text
+
+    with bounded(1e9):
+        check()
+
+
+# Any argument of any public function
+
+CLIP = Clip(np.zeros((9, 22, 3), dtype=np.float32), 20.0, 1, "a person stands", "toy 1")
+FIELDS: dict[str, Any] = {"joints": CLIP.joints, "fps": 20, "seed": 1, "text": "a", "bundle": "b"}
+EXTRA_FIELDS = ("graph", "unknown", "notes")
+PUBLIC: dict[str, Callable[[MotionPipeline, Any], object]] = {
+    "load": lambda _, junk: MotionPipeline.load(junk) if junk is not None else None,
+    "load, threads": lambda pipe, junk: MotionPipeline.load("nowhere", threads=junk),
+    "verify": lambda _, junk: verify_bundle(junk) if junk is not None else None,
+    "graph, caption": lambda _, junk: SemanticGraph(junk, GRAPH.actions),
+    "graph, actions": lambda _, junk: SemanticGraph("walks", junk),
+    "graph, action": lambda _, junk: SemanticGraph("walks", (junk,)),
+    "from_json": lambda _, junk: SemanticGraph.from_json(junk),
+    "from_dict": lambda _, junk: SemanticGraph.from_dict(junk),
+    "from_dict, actions": lambda _, junk: SemanticGraph.from_dict({"caption": "walks", "actions": junk}),
+    "from_dict, action": lambda _, junk: SemanticGraph.from_dict({"caption": "walks", "actions": [junk]}),
+    **{
+        f"action, {key}": lambda _, junk, key=key: SemanticGraph(
+            "walks", (Action(**{"text": "walks", "start": 0, "end": 5, "order": 0, key: junk}),)
+        )
+        for key in ("text", "start", "end", "order", "weight", "arguments", "negated")
+    },
+    **{
+        f"argument, {key}": lambda _, junk, key=key: SemanticGraph(
+            "walks",
+            (
+                Action(
+                    "walks",
+                    0,
+                    5,
+                    0,
+                    1.0,
+                    (Argument(**{"role": "ARG0", "text": "w", "start": 0, "end": 1, key: junk}),),
+                ),
+            ),
+        )
+        for key in ("role", "text", "start", "end", "weight")
+    },
+    "concept": lambda _, junk: Concept(junk),
+    "concept, weight": lambda _, junk: Concept("a person walks", junk),
+    **{f"clip, {key}": lambda _, junk, key=key: Clip(**{**FIELDS, key: junk}) for key in (*FIELDS, *EXTRA_FIELDS)},
+    "resampled": lambda _, junk: CLIP.resampled(junk),
+    "looped": lambda _, junk: CLIP.looped(foot_fix=junk),
+    "save": lambda _, junk: CLIP.save(junk),
+    "save, names": lambda _, junk: CLIP.save("/nowhere/a.bvh", names=junk),
+    "save, force": lambda _, junk: CLIP.save("/nowhere/a.bvh", force=junk),
+    "save, root": lambda _, junk: CLIP.save("/nowhere/a.bvh", root=junk),
+    "read": lambda _, junk: read(junk),
+    "read, suffix": lambda _, junk: read("/nowhere/a.npz", suffix=junk),
+    "read_npz": lambda _, junk: read_npz(junk),
+    "without": lambda _, junk: edits.without(GRAPH, junk),
+    "with_weight": lambda _, junk: edits.with_weight(GRAPH, junk, 2.0),
+    "with_weight, weight": lambda _, junk: edits.with_weight(GRAPH, 1, junk),
+    "replaced": lambda _, junk: edits.replaced(GRAPH, junk, "runs"),
+    "replaced, text": lambda _, junk: edits.replaced(GRAPH, 1, junk),
+    "with_action": lambda _, junk: edits.with_action(GRAPH, junk),
+    "with_argument": lambda _, junk: edits.with_argument(GRAPH, junk, "ARG1", "x"),
+    "with_argument, role": lambda _, junk: edits.with_argument(GRAPH, 1, junk, "x"),
+    "with_argument, text": lambda _, junk: edits.with_argument(GRAPH, 1, "ARG1", junk),
+    "parse": lambda pipe, junk: pipe.parse(junk),
+    "find_unknown": lambda pipe, junk: pipe.find_unknown(junk),
+    "generate": lambda pipe, junk: pipe.generate(junk, **FEW),
+    **{
+        f"generate, {key}": lambda pipe, junk, key=key: pipe.generate(GRAPH, **{**FEW, key: junk})
+        for key in ("seconds", "seed", "steps", "guidance", "foot_fix", "strict", "timeout")
+    },
+    **{
+        f"generate, {key}": lambda pipe, junk, key=key: (
+            None if callable(junk) else pipe.generate(GRAPH, **FEW, **{key: junk})
+        )
+        for key in ("on_step", "on_level")
+    },
+    "takes": lambda pipe, junk: pipe.takes(GRAPH, junk, **FEW),
+    "batch": lambda pipe, junk: pipe.batch(junk, **FEW),
+    "batch, item": lambda pipe, junk: pipe.batch([junk], **FEW),
+    "batch, seconds": lambda pipe, junk: pipe.batch([GRAPH], **{**FEW, "seconds": junk}),
+    "sequence": lambda pipe, junk: pipe.sequence(junk, **FEW),
+    "compose": lambda pipe, junk: pipe.compose(junk, **FEW),
+    "compose, item": lambda pipe, junk: pipe.compose([junk], **FEW),
+    **{
+        f"compose, {key}": lambda pipe, junk, key=key: pipe.compose([GRAPH, GRAPH], **{**FEW, key: junk})
+        for key in ("method", "text", "lambdas", "agd")
+    },
+    "energy_maps": lambda pipe, junk: energy_maps(pipe, junk, **FEW),
+}
+
+
+@pytest.mark.parametrize("name", PUBLIC)
+def test_any_argument_of_a_public_function_is_taken_or_refused(
+    toy: MotionPipeline, name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    with bounded(60):
+        for junk in JUNK:
+            try:
+                PUBLIC[name](toy, junk)
+            except KinegraphError as error:
+                assert str(error), type(junk)
+
+
+# What an attack found, as kinds
+
+
+@pytest.mark.parametrize("depth", [900, 980, 986, 988, 990, 992, 1000, 5000])
+@pytest.mark.parametrize("key", ["provenance", "quality", "name", "levels", "files", "fps", "roles", "operators"])
+def test_manifests_nested_to_any_depth_are_refused(key: str, depth: int) -> None:
+    value = manifest_object()
+    value[key] = "DEEP"
+    text = sealed(value).rsplit(b",\n", 1)[0].replace(b'"DEEP"', b"[" * depth + b"]" * depth)
+    from kinegraph.bundle.manifest import seal
+
+    with pytest.raises(BundleFormatError):
+        decode_manifest(seal(text.rstrip().removesuffix(b"}").rstrip()))
+
+
+def test_deep_values_are_described_in_few_words(toy: MotionPipeline) -> None:
+    for call in (SemanticGraph.from_dict, lambda deep: toy.compose([GRAPH], lambdas=[deep] * 3, **FEW)):
+        with pytest.raises(InvalidInputError):
+            call(nested(100_000))
+
+
+def test_the_inputs_of_the_attack_are_refused(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    folder = shared_path("cases", "reliability")
+    for name in ("npz_claims_1e13.npz", "arguments_claims_1e13.npz", "arguments_encrypted.npz"):
+        assert cli.main(["view", str(folder / name), "-o", str(tmp_path / "page.html")]) == 2
+    assert (
+        cli.main(["generate", "--graph", str(folder / "graph_weight_400_digits.json"), "-o", str(tmp_path / "g.bvh")])
+        == 2
+    )
+    assert capsys.readouterr().err.count("kinegraph: error:") == 4
+    with pytest.raises(BundleFormatError):
+        decode_manifest((folder / "manifest_deep.json").read_bytes())
+    from kinegraph.text.argument_classifier import ArgumentClassifier
+
+    for path in folder.glob("arguments_*.npz"):
+        with pytest.raises(BundleFormatError):
+            ArgumentClassifier(path.read_bytes())
+
+
+# The largest requests
+
+
+def crowd(actions: int, weighted: int = 0, negated: int = 0) -> SemanticGraph:
+    """A graph of many actions, some with weighted edges, some negated."""
+    caption = " ".join(["person", *["walks"] * actions])
+    nodes = tuple(
+        Action("walks", 7 + 6 * n, 12 + 6 * n, n, 0.5 if n < weighted else 1.0, (), n >= actions - negated)
+        for n in range(actions)
+    )
+    return SemanticGraph(caption, nodes)
+
+
+LARGEST: dict[str, Callable[[MotionPipeline], object]] = {
+    "one graph of weights": lambda pipe: pipe.generate(crowd(31, weighted=31), seconds=9.8, seed=1),
+    "one graph of negations": lambda pipe: pipe.generate(crowd(31, negated=30), seconds=9.8, seed=1),
+    "64 graphs": lambda pipe: pipe.compose([Concept(crowd(31, weighted=31))] * 2, method="latent", seconds=9.8, seed=1),
+    "64 graphs, gradient descent": lambda pipe: pipe.compose(
+        [Concept(crowd(7, weighted=7))] * MAX_CONCEPTS, method="semantic", agd=(0.1, 0.1), seconds=9.8, seed=1
+    ),
+    "8 fused concepts, gradient descent": lambda pipe: pipe.compose(
+        [Concept(crowd(6, weighted=6))] * MAX_CONCEPTS, text=GRAPH, lambdas=(0.3, 0.3, 0.4), agd=(0.1, 0.1), seconds=9.8
+    ),
+    "64 clips in shared runs": lambda pipe: pipe.batch([crowd(31)] * MAX_TAKES, shared_run=True, seconds=9.8, seed=1),
+    "64 takes": lambda pipe: pipe.takes(crowd(31), MAX_TAKES, seconds=9.8, seed=1),
+}
+"""Names are those of the table in SECURITY.md."""
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(600)
+@pytest.mark.parametrize("name", LARGEST)
+def test_the_largest_requests_stay_within_limits(
+    name: str, pipe: MotionPipeline, is_long: bool, figure: Callable[[str], None]
+) -> None:
+    if not is_long and name not in ("64 graphs", "one graph of weights"):
+        pytest.skip("in the long form: --promises=long")
+    if pipe.sampler.sessions.denoiser_agd:
+        pipe.compose([GRAPH, GRAPH], agd=(0.1, 0.1), **FEW)  # its sessions are opened once
+    start, before = time.process_time(), psutil.Process().memory_info().rss
+    with bounded():
+        check_result(LARGEST[name](pipe))
+    kept = (psutil.Process().memory_info().rss - before) / 1e6
+    figure(f"{name}: {time.process_time() - start:.1f} s of CPU, {kept:+.0f} MB kept")
+
+
+def test_more_rows_than_a_run_takes_are_refused_before_a_model_runs(toy: MotionPipeline) -> None:
+    concepts = [Concept(crowd(31, weighted=31))] * MAX_CONCEPTS
+    with bounded(2), pytest.raises(InvalidInputError, match=f"{MAX_ROWS} at most share a run"):
+        toy.compose(concepts, text=crowd(31, weighted=31), method="fused", agd=(0.1, 0.1), seed=1)
+
+
+def test_json_of_a_graph_has_limits(toy: MotionPipeline) -> None:
+    text = json.dumps({"caption": "walks", "actions": [{"text": "walks", "start": 0, "end": 5}] * 100_000})
+    with bounded(2), pytest.raises(InvalidInputError):
+        SemanticGraph.from_json(text)
+    for text in ("[" * 100_000, "1" * 100_000, '{"a":' * 5000, "\ud800", ""):
+        with pytest.raises(InvalidInputError):
+            SemanticGraph.from_json(text)

@@ -1,0 +1,31 @@
+"""Record which paths Python opens, by an audit hook, which sees every way to open one."""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+
+_opened: list[str] | None = None
+
+
+def _watch(event: str, arguments: tuple[Any, ...]) -> None:
+    # An open file that is wrapped a second time shows up as its number.
+    if event == "open" and _opened is not None and not isinstance(arguments[0], int):
+        _opened.append(os.fsdecode(arguments[0]))
+
+
+sys.addaudithook(_watch)
+
+
+@contextmanager
+def opened_paths() -> Iterator[list[str]]:
+    """Record every path that is opened inside the block."""
+    global _opened
+    _opened = paths = []
+    try:
+        yield paths
+    finally:
+        _opened = None
