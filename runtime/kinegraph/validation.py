@@ -7,12 +7,12 @@ from __future__ import annotations
 
 import math
 from numbers import Integral, Real
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
-import numpy as np
-
-from kinegraph.arrays import FloatArray
 from kinegraph.errors import InvalidInputError, NonFiniteError
+
+if TYPE_CHECKING:
+    from kinegraph.arrays import FloatArray
 
 MAX_FPS: Final = 240.0
 """Frames per second."""
@@ -74,7 +74,8 @@ def check_fps(fps: object) -> None:
     Raises:
         InvalidInputError: not a number from 1 to `MAX_FPS`.
     """
-    if isinstance(fps, bool) or not isinstance(fps, int | float | np.integer | np.floating) or not 1 <= fps <= MAX_FPS:
+    number = finite_number(fps)
+    if number is None or not 1 <= number <= MAX_FPS:
         raise InvalidInputError(f"fps must be 1 to {MAX_FPS:g} frames per second, not {short_repr(fps)}")
 
 
@@ -88,6 +89,8 @@ def require_finite(values: FloatArray, stage: str) -> FloatArray:
     Raises:
         NonFiniteError: naming the stage.
     """
+    import numpy as np  # here, because `--help` needs this module and not numpy
+
     if not np.isfinite(values).all():
         raise NonFiniteError(f"{stage} produced NaN or infinity; the bundle's weights are broken")
     return values

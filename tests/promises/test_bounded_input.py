@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import threading
 import time
+import zipfile
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -320,6 +321,14 @@ def test_the_inputs_of_the_attack_are_refused(capsys: pytest.CaptureFixture[str]
     for path in folder.glob("arguments_*.npz"):
         with pytest.raises(BundleFormatError):
             ArgumentClassifier(path.read_bytes())
+
+
+def test_archives_of_many_members_are_refused(tmp_path: Path) -> None:
+    with zipfile.ZipFile(tmp_path / "many.npz", "w") as archive:
+        for number in range(20_000):
+            archive.writestr(f"{number}.npy", b"")
+    with bounded(2), pytest.raises(InvalidInputError, match="more than 64 members"):
+        read(tmp_path / "many.npz")
 
 
 # The largest requests

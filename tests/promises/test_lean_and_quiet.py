@@ -1,4 +1,4 @@
-"""Importing kinegraph is light, quiet and offline: seen from a fresh process."""
+"""Promise 10, lean and quiet: seen from a fresh process, an import and a clip take little and leave nothing behind."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import json
 import os
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -123,3 +124,75 @@ def test_every_public_name_is_there() -> None:
 
 def test_unknown_names_are_attribute_errors() -> None:
     assert not hasattr(kinegraph, "Pipeline")
+
+
+IMPORT_TIMES = """
+import time
+start = time.perf_counter()
+import numpy, onnxruntime
+others = time.perf_counter()
+import kinegraph
+kinegraph.MotionPipeline, kinegraph.Concept, kinegraph.SemanticGraph
+print(others - start, time.perf_counter() - others, time.process_time())
+"""
+
+
+def test_an_import_takes_little_beyond_numpy_and_onnxruntime(figure: Callable[[str], None]) -> None:
+    """0.6 s are promised with both of these on two idle cores; busy ones are measured by what the two need there."""
+    rows = []
+    for _ in range(4):
+        done = subprocess.run(
+            [sys.executable, "-c", IMPORT_TIMES],
+            env={**os.environ, "PYTHONPATH": str(RUNTIME)},
+            capture_output=True,
+            text=True,
+            timeout=120,
+            check=True,
+        )
+        rows.append([float(number) for number in done.stdout.split()])
+    others, ours, cpu = (min(column) for column in zip(*rows, strict=True))
+    figure(f"import: {ours * 1000:.0f} ms beside {others * 1000:.0f} ms of numpy and onnxruntime, {cpu:.2f} s of CPU")
+    assert ours < max(0.4, 3 * others)
+
+
+IDLE = """
+import sys, time
+from kinegraph import MotionPipeline
+from kinegraph.bench import GRAPH
+pipe = MotionPipeline.load()
+pipe.generate(GRAPH, seconds=4, seed=1)
+start = time.process_time()
+time.sleep(2)
+print(time.process_time() - start)
+"""
+
+
+def test_after_a_clip_nothing_runs(figure: Callable[[str], None]) -> None:
+    done = subprocess.run(
+        [sys.executable, "-c", IDLE],
+        env={**os.environ, "PYTHONPATH": str(RUNTIME)},
+        capture_output=True,
+        text=True,
+        timeout=120,
+        check=True,
+    )
+    share = float(done.stdout) / 2
+    figure(f"idle after a clip: {share:.2%} of one CPU")
+    assert share < 0.01
+
+
+QUIET_CLIP = """
+from kinegraph import MotionPipeline
+pipe = MotionPipeline.load()
+clip = pipe.generate("a person walks and waves", seconds=1, seed=1, steps=2)
+clip.joints.sum()
+"""
+
+
+def test_a_sentence_writes_nothing_and_asks_nobody(tmp_path: Path) -> None:
+    """The audit hook of `PREAMBLE` refuses sockets, processes and files opened to be written, here for a whole clip."""
+    pytest.importorskip("spacy")
+    report = run(QUIET_CLIP, HOME=str(tmp_path), XDG_CACHE_HOME=str(tmp_path), TMPDIR=str(tmp_path))
+    assert [*tmp_path.rglob("*")] == []
+    assert report["handlers"] == 0 and report["threads"] == 1
+    assert report["environment"] == {TELEMETRY: "1"}
