@@ -174,7 +174,7 @@ FAULTS: tuple[Fault, ...] = (
         "text/parser.py",
         "    if len(caption) > MAX_TEXT:",
         "    if False:",
-        "runtime/test_parser.py -k invalid",
+        f"{BOUNDED} -k long_captions",
     ),
     Fault(
         4,

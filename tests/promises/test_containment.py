@@ -152,5 +152,5 @@ def test_only_regular_files_are_read(bundle: Path, name: str, kind: str) -> None
         (bundle / name).mkdir()
     else:
         os.mknod(bundle / name, 0o140600)
-    with pytest.raises(BundleIntegrityError, match=name):
+    with pytest.raises(BundleIntegrityError, match=f"{name} (is not a regular file|cannot be opened)"):
         read_bundle(bundle)
