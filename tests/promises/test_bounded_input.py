@@ -19,7 +19,7 @@ from hypothesis import strategies as st
 
 from kinegraph import Clip, Concept, KinegraphError, MotionPipeline, SemanticGraph, cli, edits
 from kinegraph.bench import GRAPH
-from kinegraph.bundle.manifest import decode_manifest
+from kinegraph.bundle.manifest import decode_manifest, seal
 from kinegraph.bundle.verify import verify_bundle
 from kinegraph.energy import energy_maps
 from kinegraph.errors import BundleFormatError, InvalidInputError
@@ -295,16 +295,15 @@ def test_any_argument_of_a_public_function_is_taken_or_refused(
 # What an attack found, as kinds
 
 
-@pytest.mark.parametrize("depth", [900, 980, 986, 988, 990, 992, 1000, 5000])
-@pytest.mark.parametrize("key", ["provenance", "quality", "name", "levels", "files", "fps", "roles", "operators"])
-def test_manifests_nested_to_any_depth_are_refused(key: str, depth: int) -> None:
-    value = manifest_object()
-    value[key] = "DEEP"
-    text = sealed(value).rsplit(b",\n", 1)[0].replace(b'"DEEP"', b"[" * depth + b"]" * depth)
-    from kinegraph.bundle.manifest import seal
-
-    with pytest.raises(BundleFormatError):
-        decode_manifest(seal(text.rstrip().removesuffix(b"}").rstrip()))
+@pytest.mark.parametrize("key", ["quality", "name", "levels", "fps"])
+def test_manifests_nested_to_any_depth_are_refused(key: str) -> None:
+    """Between what JSON's parser can follow and what `repr` can, which depends on the caller's stack."""
+    body = sealed({**manifest_object(), key: "DEEP"}).rsplit(b",\n", 1)[0]
+    assert body.count(b'"DEEP"') == 1
+    for depth in (1, 100, *range(870, 1000, 3), 5000):
+        with pytest.raises(BundleFormatError):
+            decode_manifest(seal(body.replace(b'"DEEP"', b"[" * depth + b"]" * depth)))
+    assert decode_manifest(seal(body.replace(b'"DEEP"', json.dumps(manifest_object()[key]).encode())))
 
 
 def test_deep_values_are_described_in_few_words(toy: MotionPipeline) -> None:
