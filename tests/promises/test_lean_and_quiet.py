@@ -127,32 +127,39 @@ def test_unknown_names_are_attribute_errors() -> None:
 
 
 IMPORT_TIMES = """
-import time
-start = time.perf_counter()
+import sys, time
+
+def forbid(event, arguments):
+    if event == "time.sleep":
+        raise RuntimeError("sleeping while importing")
+
+start = time.process_time()
 import numpy, onnxruntime
-others = time.perf_counter()
+others = time.process_time()
+sys.addaudithook(forbid)
 import kinegraph
 kinegraph.MotionPipeline, kinegraph.Concept, kinegraph.SemanticGraph
-print(others - start, time.perf_counter() - others, time.process_time())
+print(others - start, time.process_time() - others)
 """
 
 
 def test_an_import_takes_little_beyond_numpy_and_onnxruntime(figure: Callable[[str], None]) -> None:
-    """0.6 s are promised with both of these on two idle cores; busy ones are measured by what the two need there."""
+    """0.6 s are promised with both of these on two idle cores. On busy ones, time of the CPU counts, and no sleep."""
     rows = []
-    for _ in range(4):
+    for _ in range(3):
         done = subprocess.run(
             [sys.executable, "-c", IMPORT_TIMES],
             env={**os.environ, "PYTHONPATH": str(RUNTIME)},
             capture_output=True,
             text=True,
             timeout=120,
-            check=True,
+            check=False,
         )
+        assert done.returncode == 0, done.stderr
         rows.append([float(number) for number in done.stdout.split()])
-    others, ours, cpu = (min(column) for column in zip(*rows, strict=True))
-    figure(f"import: {ours * 1000:.0f} ms beside {others * 1000:.0f} ms of numpy and onnxruntime, {cpu:.2f} s of CPU")
-    assert ours < max(0.4, 3 * others)
+    others, ours = (min(column) for column in zip(*rows, strict=True))
+    figure(f"import: {ours * 1000:.0f} ms of CPU beside {others * 1000:.0f} ms of numpy and onnxruntime")
+    assert ours < 0.3
 
 
 IDLE = """
