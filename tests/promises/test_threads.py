@@ -132,7 +132,7 @@ def test_nothing_of_a_pipeline_can_be_set(toy: MotionPipeline) -> None:
         for field in dataclasses.fields(part):
             with pytest.raises(AttributeError):
                 setattr(part, field.name, None)
-    for mapping in (toy.sampler.sessions.step, toy.manifest.files, toy.encoder.tables, toy.manifest.defaults.steps):
+    for mapping in (toy.sampler.sessions.denoiser, toy.manifest.files, toy.encoder.tables, toy.manifest.defaults.steps):
         with pytest.raises(TypeError):
             mapping["new"] = None  # type: ignore[index]
     for array in toy.encoder.tables.values():
