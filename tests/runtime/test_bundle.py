@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from kinegraph.bundle.manifest import FileSpec
+from kinegraph.bundle.manifest import FileSpec, optional_graph_files
 from kinegraph.bundle.reader import MAX_FILE_BYTES, read_bundle
 from kinegraph.errors import BundleError, BundleFormatError, BundleIntegrityError
 from support.opened_paths import opened_paths
@@ -18,8 +18,8 @@ from support.synthetic_bundle import bundle_files, manifest_for, tables_npz, wri
 
 def test_a_good_bundle_is_read_whole(bundle: Path) -> None:
     read = read_bundle(bundle)
-    everything = {**read.files, **{name: read.read_optional(name) for name in OPTIONAL_GRAPH_FILES}}
-    assert everything == bundle_files() and not OPTIONAL_GRAPH_FILES & set(read.files)
+    everything = {**read.files, **{name: read.read_optional(name) for name in optional_graph_files()}}
+    assert everything == bundle_files() and not optional_graph_files() & set(read.files)
     assert read.manifest == manifest_for(bundle_files())
     with np.load(io.BytesIO(tables_npz())) as expected:
         assert sorted(read.tables) == sorted(expected.files)
