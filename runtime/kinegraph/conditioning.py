@@ -120,6 +120,10 @@ class ConditionEncoder:
         (nodes,) = run_model(self.sessions.graph_encoder, ["nodes_out"], pad_graphs(features), "the graph encoder")
         return make_conditions(features, nodes)
 
+    def left_out(self, graph: SemanticGraph) -> tuple[str, ...]:
+        """Tell which nodes of a graph the networks have no room for: none, they take any number."""
+        return ()
+
     def with_length(self, options: GenerateOptions, features: Sequence[GraphArrays]) -> GenerateOptions:
         """Replace the length by the one that the longest of some sentences asks for.
 

@@ -19,15 +19,20 @@ from kinegraph.bundle.contract import (
     LEVELS,
     NODE_KINDS,
     OPTIONAL_GRAPHS,
+    Family,
     GraphContract,
     LevelSpec,
     contracts,
+    graphs_of,
+    levels_of,
+    optional_graphs_of,
+    released_contracts,
 )
 from kinegraph.bundle.strict_json import decode, parse_object, to_plain
 from kinegraph.diffusion.sampling import NoiseSchedule
 from kinegraph.errors import BundleFormatError, BundleIntegrityError, InvalidInputError
 from kinegraph.graph import ROLES
-from kinegraph.limits import MAX_FRAMES
+from kinegraph.limits import MAX_FRAMES, MAX_PIECES
 from kinegraph.motion.skeleton import JOINT_NAMES, PARENTS
 
 FORMAT_VERSION: Final = 3
@@ -35,7 +40,9 @@ OLDEST_VERSION: Final = 2
 """Format 2 has no coarse decoders and no graphs of adaptive gradient descent."""
 
 GRAPH_FILES: Final[tuple[str, ...]] = tuple(f"{graph}.onnx" for graph in GRAPHS)
-REQUIRED_FILES: Final[frozenset[str]] = frozenset((*GRAPH_FILES, "tokenizer.json", "tables.npz"))
+OTHER_FILES: Final = ("tokenizer.json", "tables.npz")
+REQUIRED_FILES: Final[frozenset[str]] = frozenset((*GRAPH_FILES, *OTHER_FILES))
+"""Of our own networks; released ones have fewer graphs (`contract.graphs_of`)."""
 AGD_FILES: Final[frozenset[str]] = frozenset(
     f"{graph}.onnx" for graph in (*AGD_CONTEXTS.values(), *AGD_DENOISERS.values())
 )
@@ -105,6 +112,8 @@ class TextSpec:
     """D, width of the text encoder's hidden states."""
     mask_token: str
     """Token that replaces a masked word in the caption."""
+    max_pieces: int = MAX_PIECES
+    """Word pieces of a caption that the encoder has positions for, special ones included."""
 
 
 @dataclass(frozen=True)
@@ -132,9 +141,10 @@ class Defaults:
     """Diffusion steps per level."""
     guidance: Mapping[str, float]
     """Guidance scale per level."""
-    guidance_base: Literal["empty", "coarse"]
+    guidance_base: Literal["empty", "coarse", "structure"]
     """Unconditional branch of classifier-free guidance: "empty" drops text and coarse latent (Eq. A); "coarse" drops
-    the text only."""
+    the text only; "structure", of released networks alone, keeps the graph as well and gives its nodes the features of
+    an empty caption."""
     seconds: float
     """Length of a clip where neither the caller nor the duration model gives one."""
 
@@ -184,6 +194,8 @@ class Manifest:
     """Settings of the training run."""
     quality: Mapping[str, float]
     """Measured quality, by metric."""
+    family: Family = "kinegraph"
+    """Whose networks they are; says which graphs the bundle has, and what they take."""
 
     def __post_init__(self) -> None:
         _validate(self)
@@ -191,7 +203,8 @@ class Manifest:
     @property
     def contracts(self) -> dict[str, GraphContract]:
         """Contract of every graph of this bundle, by name."""
-        declared = contracts(self.levels, self.text.width, len(self.features.mean))
+        sizes = (self.levels, self.text.width, len(self.features.mean))
+        declared = contracts(*sizes) if self.family == "kinegraph" else released_contracts(self.family, *sizes)
         return {name: contract for name, contract in declared.items() if contract.file in self.files}
 
     @property
@@ -269,9 +282,9 @@ def _validate(manifest: Manifest) -> None:
     _check_version(manifest.format_version)
     _check_body(manifest)
     _check_features(manifest.features)
-    _check_levels(manifest.levels)
-    _check_schedule(manifest.schedule, manifest.defaults, manifest.frames, manifest.fps)
-    _check_files(manifest.files, manifest.operators)
+    _check_levels(manifest.levels, levels_of(manifest.family))
+    _check_schedule(manifest)
+    _check_files(manifest.files, manifest.operators, manifest.family)
 
 
 def _require(holds: bool, key: str, message: str) -> None:
@@ -303,6 +316,11 @@ def _check_body(manifest: Manifest) -> None:
         "text.width",
         f"must be 1 to {MAX_DIMS['width']}, found {manifest.text.width}",
     )
+    _require(
+        2 <= manifest.text.max_pieces <= MAX_PIECES,
+        "text.max_pieces",
+        f"must be 2 to {MAX_PIECES}, found {manifest.text.max_pieces}",
+    )
     _require(0 < manifest.fps <= 1000, "fps", f"must be above 0 and at most 1000, found {manifest.fps}")
     _require(
         2 <= frames.min <= frames.max <= MAX_FRAMES,
@@ -328,10 +346,10 @@ def _check_features(features: FeatureSpec) -> None:
     _require(min(features.std) > 0, "features.std", f"must be positive, found {min(features.std)}")
 
 
-def _check_levels(levels: Mapping[str, LevelSpec]) -> None:
-    _check_keys(levels, "levels")
+def _check_levels(levels: Mapping[str, LevelSpec], names: tuple[str, ...]) -> None:
+    _check_keys(levels, "levels", names)
     coarse: LevelSpec | None = None
-    for name in LEVELS:
+    for name in names:
         level = levels[name]
         key = f"levels.{name}"
         for field, most in MAX_DIMS.items():
@@ -363,11 +381,18 @@ def _check_levels(levels: Mapping[str, LevelSpec]) -> None:
         coarse = level
 
 
-def _check_keys(mapping: Mapping[str, object], key: str) -> None:
-    _require(set(mapping) == set(LEVELS), key, f"must have exactly the keys {list(LEVELS)}, found {list(mapping)}")
+def _check_keys(mapping: Mapping[str, object], key: str, names: tuple[str, ...]) -> None:
+    _require(set(mapping) == set(names), key, f"must have exactly the keys {list(names)}, found {list(mapping)}")
 
 
-def _check_schedule(schedule: ScheduleSpec, defaults: Defaults, frames: FrameSpec, fps: float) -> None:
+def _check_schedule(manifest: Manifest) -> None:
+    schedule, defaults, frames, fps = manifest.schedule, manifest.defaults, manifest.frames, manifest.fps
+    names, is_ours = levels_of(manifest.family), manifest.family == "kinegraph"
+    _require(
+        is_ours == (defaults.guidance_base != "structure"),
+        "defaults.guidance_base",
+        f"cannot be {defaults.guidance_base!r} for networks of the family {manifest.family!r}",
+    )
     _require(
         1 <= schedule.train_steps <= 100_000,
         "schedule.train_steps",
@@ -383,9 +408,9 @@ def _check_schedule(schedule: ScheduleSpec, defaults: Defaults, frames: FrameSpe
         "schedule.steps_offset",
         f"must be 0 to {schedule.train_steps - 1}, found {schedule.steps_offset}",
     )
-    _check_keys(defaults.steps, "defaults.steps")
-    _check_keys(defaults.guidance, "defaults.guidance")
-    for name in LEVELS:
+    _check_keys(defaults.steps, "defaults.steps", names)
+    _check_keys(defaults.guidance, "defaults.guidance", names)
+    for name in names:
         steps, scale = defaults.steps[name], defaults.guidance[name]
         try:
             schedule.noise.timesteps(steps)
@@ -399,7 +424,9 @@ def _check_schedule(schedule: ScheduleSpec, defaults: Defaults, frames: FrameSpe
     )
 
 
-def _check_files(files: Mapping[str, FileSpec], operators: Mapping[str, tuple[str, ...]]) -> None:
+def _check_files(
+    files: Mapping[str, FileSpec], operators: Mapping[str, tuple[str, ...]], family: Family = "kinegraph"
+) -> None:
     for name, entry in files.items():
         # Only known names are ever opened, so separators, drives, "..", NUL and devices can name nothing.
         _require(
@@ -413,8 +440,12 @@ def _check_files(files: Mapping[str, FileSpec], operators: Mapping[str, tuple[st
             f"must be 64 hex digits, found {entry.sha256!r}",
         )
         _require(entry.bytes >= 0, f"files.{name}.bytes", f"must not be negative, found {entry.bytes}")
-    missing = sorted(REQUIRED_FILES - set(files))
+    required = {*(f"{graph}.onnx" for graph in graphs_of(family)), *OTHER_FILES}
+    missing = sorted(required - set(files))
     _require(not missing, "files", f"lacks {missing}")
+    allowed = {f"{graph}.onnx" for graph in (*graphs_of(family), *optional_graphs_of(family))}
+    foreign = sorted(name for name in files if name.endswith(".onnx") and name not in allowed)
+    _require(not foreign, "files", f"has {foreign}, which networks of the family {family!r} do not have")
     agd_files = AGD_FILES & set(files)
     _require(
         not agd_files or agd_files == AGD_FILES, "files", f"has {sorted(agd_files)}, of {sorted(AGD_FILES)} all or none"

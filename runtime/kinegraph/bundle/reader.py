@@ -27,7 +27,8 @@ DEFAULT_BUNDLE: Final = Path(__file__).parents[1] / "bundles" / "default"
 MAX_MANIFEST_BYTES: Final = 1 << 20
 MAX_FILE_BYTES: Final = 1 << 30
 """Below the 2 GiB limit of protobuf; the largest known text encoder takes half of it."""
-MAX_BUNDLE_BYTES: Final = 1 << 31
+MAX_BUNDLE_BYTES: Final = 1 << 32
+"""The released GraphMotion in float32 has 3.4 GB."""
 
 _OPEN_FLAGS: Final = (
     os.O_RDONLY
@@ -85,7 +86,7 @@ def read_bundle(path: Path | None = None) -> Bundle:
         for name, entry in manifest.files.items()
         if name not in OPTIONAL_GRAPH_FILES
     }
-    for name in GRAPH_FILES:
+    for name in (name for name in GRAPH_FILES if name in files):
         check_self_contained(files[name], name)
     tables = read_tables(files["tables.npz"], manifest)
     vocabulary = read_vocabulary(files[VOCABULARY], manifest.text.width) if VOCABULARY in files else None

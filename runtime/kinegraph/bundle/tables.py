@@ -1,6 +1,7 @@
 """`tables.npz`: optional tables that a training run measured on its clips.
 
-They are the weights of the duration model (`kinegraph.conditioning`) and the bone lengths of the bundle's one body.
+They are the weights of the duration model (`kinegraph.conditioning`) and the bone lengths of the bundle's one body. A
+bundle with released networks has the text encoder's states of an empty caption, which their guidance leads away from.
 """
 
 from __future__ import annotations
@@ -22,6 +23,7 @@ from kinegraph.motion.skeleton import JOINTS
 FILE: Final = "tables.npz"
 DURATION: Final = "duration"
 BONE_LENGTHS: Final = "bone_lengths"
+EMPTY_CAPTION: Final = "empty_caption"
 EXTRA_INPUTS: Final = 3
 """Inputs of the duration model besides the sentence embedding: number of actions, number of nodes, and 1."""
 
@@ -31,7 +33,11 @@ _HEADER_BYTES: Final = 4096
 
 def table_shapes(manifest: Manifest) -> dict[str, tuple[int, int]]:
     """Return name -> shape of every array that `tables.npz` may hold, all float32."""
-    return {DURATION: (1, manifest.text.width + EXTRA_INPUTS), BONE_LENGTHS: (1, JOINTS - 1)}
+    shapes = {DURATION: (1, manifest.text.width + EXTRA_INPUTS), BONE_LENGTHS: (1, JOINTS - 1)}
+    if manifest.family == "kinegraph":
+        return shapes
+    # the sentence feature, then the hidden states of all positions
+    return shapes | {EMPTY_CAPTION: (1 + manifest.text.max_pieces, manifest.text.width)}
 
 
 def bones_of(tables: Mapping[str, FloatArray]) -> FloatArray | None:
@@ -53,6 +59,8 @@ def read_tables(data: bytes, manifest: Manifest) -> Mapping[str, FloatArray]:
         _check_members(data, shapes)
         with np.load(io.BytesIO(data), allow_pickle=False) as archive:
             present = {name: shape for name, shape in shapes.items() if name in archive.files}
+            if EMPTY_CAPTION in shapes and EMPTY_CAPTION not in present:
+                raise BundleFormatError(f"{FILE} lacks {EMPTY_CAPTION}, which networks of this family need")
             return MappingProxyType({name: _table(archive[name], name, shape) for name, shape in present.items()})
     except (zipfile.BadZipFile, zlib.error, ValueError, OSError, EOFError, KeyError, RuntimeError) as error:
         # RuntimeError: an encrypted member; NotImplementedError (a RuntimeError): an unknown compression.
