@@ -11,7 +11,8 @@ from __future__ import annotations
 
 import pickle
 import zipfile
-from collections.abc import Iterable, Mapping
+from collections import OrderedDict
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -27,15 +28,16 @@ from kinegraph.errors import InvalidInputError
 from kinegraph.validation import short_repr
 from kinegraph_export.official.denoiser import OfficialDenoiser, OfficialDenoiserConfig
 from kinegraph_export.official.graph_attention import ReleasedGraphAttention
-from kinegraph_export.official.transformer import POSITIONS
 from kinegraph_export.official.vae import OfficialVae, OfficialVaeConfig
 
 IGNORED_PARTS = ("text_encoder", "t2m_textencoder", "t2m_moveencoder", "t2m_motionencoder")
-"""First parts of names that have no place in a bundle: CLIP, which comes from its own folder, and the evaluators."""
+"""First parts of names that are left out: CLIP, which comes from its own folder, and the evaluators."""
 WRAPPERS = ("module.", "model.", "_orig_mod.")
 """Prefixes that data parallelism, trainers and compilation put before every name."""
 VAE_HEADS, DENOISER_HEADS = 4, 16
 """Of the released GraphMotion; MLD has 4 throughout."""
+LOAD_ERRORS = (pickle.UnpicklingError, RuntimeError, ValueError, EOFError, TypeError, AttributeError, KeyError)
+"""What torch raises for files that it does not read."""
 _SHOWN = 4
 """Names in a message."""
 
@@ -61,8 +63,15 @@ class MldModels:
     denoiser: OfficialDenoiser
 
 
-class _Ignored:
-    """Stand in for an object of a checkpoint that is no tensor: it takes any content, and does nothing."""
+class _IgnoredDict:
+    """Stand in for a class of a checkpoint: make an empty dictionary, which takes items and attributes."""
+
+    def __new__(cls, *_: Any, **__: Any) -> Any:
+        return OrderedDict()
+
+
+class _IgnoredObject:
+    """Stand in for a class of a checkpoint that is no dictionary: take any state, and do nothing."""
 
     def __init__(self, *_: Any, **__: Any) -> None:
         pass
@@ -71,11 +80,15 @@ class _Ignored:
         pass
 
 
-def read_tensors(path: Path) -> dict[str, Tensor]:
+def read_tensors(path: Path, parts: Sequence[str] = ()) -> dict[str, Tensor]:
     """Read the tensors of a checkpoint (.ckpt, .pt, .pth, .bin or .safetensors) without running any of its code.
 
     Classes that trainers leave in a checkpoint (settings, callbacks) are replaced by inert ones. Prefixes that all
     names share (`WRAPPERS`) are removed.
+
+    Args:
+        path: of the file.
+        parts: first parts of the names that are wanted; none takes all but `IGNORED_PARTS`.
 
     Raises:
         InvalidInputError: no such file, no checkpoint, or tensors that are not finite float32; says what to do.
@@ -89,8 +102,13 @@ def read_tensors(path: Path) -> dict[str, Tensor]:
     tensors = {str(name): value for name, value in named.items() if isinstance(value, Tensor)}
     while prefix := next((w for w in WRAPPERS if all(name.startswith(w) for name in tensors)), ""):
         tensors = {name.removeprefix(prefix): value for name, value in tensors.items()}
-    _check_numbers(path, {name: value for name, value in tensors.items() if not _is_ignored(name)})
-    return tensors
+    wanted = {
+        name: value
+        for name, value in tensors.items()
+        if (name.split(".")[0] in parts if parts else name.split(".")[0] not in IGNORED_PARTS)
+    }
+    _check_numbers(path, wanted)
+    return wanted
 
 
 def _read_safetensors(path: Path) -> dict[str, Any]:
@@ -107,19 +125,28 @@ def _read_pickled(path: Path) -> dict[str, Any]:
             "under its name, or is older; download it again"
         )
     try:
-        foreign = get_unsafe_globals_in_checkpoint(path)
-        inert: list[Any] = [(type("Ignored", (_Ignored,), {}), name) for name in foreign]
-        with safe_globals(inert):
-            content = torch.load(path, map_location="cpu", weights_only=True, mmap=True)
-    except (pickle.UnpicklingError, RuntimeError, ValueError, EOFError, TypeError, AttributeError) as error:
-        first_line = str(error).split("\n")[0]
-        raise InvalidInputError(
-            f"{path} cannot be read as tensors alone: {first_line}; code in a checkpoint is never run, so save its "
-            "state_dict by itself (torch.save(checkpoint['state_dict'], ...))"
-        ) from error
+        content = _load_inert(path, _IgnoredDict)
+    except LOAD_ERRORS:
+        try:
+            content = _load_inert(path, _IgnoredObject)
+        except LOAD_ERRORS as error:
+            reason = str(error).partition("WeightsUnpickler error: ")[2].strip() or str(error)
+            first_line = reason.split("\n")[0]
+            raise InvalidInputError(
+                f"{path} cannot be read as tensors alone ({first_line}); code in a checkpoint is never run, so save "
+                "its state_dict by itself where you trust it: torch.save(checkpoint['state_dict'], ...)"
+            ) from error
     if not isinstance(content, dict):
         raise InvalidInputError(f"{path} holds {short_repr(type(content).__name__)} instead of named tensors")
     return content
+
+
+def _load_inert(path: Path, stand_in: type) -> Any:
+    """Load a file with a stand-in for every class that torch does not know as harmless."""
+    foreign = get_unsafe_globals_in_checkpoint(path)
+    inert: list[Any] = [(type("Ignored", (stand_in,), {}), name) for name in foreign]
+    with safe_globals(inert):
+        return torch.load(path, map_location="cpu", weights_only=True, mmap=True)
 
 
 def _check_numbers(path: Path, tensors: Tensors) -> None:
@@ -238,12 +265,11 @@ def load_weights(modules: Mapping[str, nn.Module], tensors: Tensors, model: str)
     """
     states = {prefix: module.state_dict() for prefix, module in modules.items()}
     expected = {f"{prefix}{name}": value for prefix, state in states.items() for name, value in state.items()}
-    given = {name: value for name, value in tensors.items() if not _is_ignored(name)}
-    missing, unknown = sorted(expected.keys() - given.keys()), sorted(given.keys() - expected.keys())
+    missing, unknown = sorted(expected.keys() - tensors.keys()), sorted(tensors.keys() - expected.keys())
     wrong = [
-        f"{name} {tuple(given[name].shape)} instead of {tuple(value.shape)}"
+        f"{name} {tuple(tensors[name].shape)} instead of {tuple(value.shape)}"
         for name, value in expected.items()
-        if name in given and given[name].shape != value.shape
+        if name in tensors and tensors[name].shape != value.shape
     ]
     for problem, names in (("lacks", missing), ("has unknown", unknown), ("has other shapes:", wrong)):
         if names:
@@ -252,7 +278,7 @@ def load_weights(modules: Mapping[str, nn.Module], tensors: Tensors, model: str)
                 "alone can be imported"
             )
     for prefix, module in modules.items():
-        state = {name: given[f"{prefix}{name}"] for name in module.state_dict()}
+        state = {name: tensors[f"{prefix}{name}"] for name in module.state_dict()}
         module.load_state_dict(state, assign=True)
         module.requires_grad_(False).eval()
 
@@ -271,10 +297,6 @@ def _shape(tensors: Tensors, name: str) -> tuple[int, int]:
 
 def _parts(tensors: Iterable[str]) -> set[str]:
     return {name.split(".")[0] for name in tensors}
-
-
-def _is_ignored(name: str) -> bool:
-    return name.split(".")[0] in IGNORED_PARTS
 
 
 def _listed(names: Iterable[str]) -> str:
