@@ -99,7 +99,8 @@ def fuse_operators(
     module: nn.Module, replacements: Mapping[type[nn.Module], Callable[[Any], nn.Module]] = FUSED_MODULES
 ) -> nn.Module:
     """Copy a module for export, with fused operators in place of those that `replacements` name."""
-    fused = copy.deepcopy(module)
+    # parameters are shared: the released networks have a gigabyte of them
+    fused = copy.deepcopy(module, {id(value): value for value in module.parameters()})
     for parent in list(fused.modules()):
         for name, child in list(parent.named_children()):
             if type(child) in replacements:

@@ -81,8 +81,8 @@ def energy_maps(
     """
     if pipe.manifest.family != "kinegraph":
         raise InvalidInputError(
-            f"energy maps are drawn for kinegraph's own networks alone, and {pipe.manifest.name} has those of the family "
-            f"{pipe.manifest.family!r}; load another bundle"
+            f"energy maps are drawn for kinegraph's own networks alone, and {pipe.manifest.name} has those of the "
+            f"family {pipe.manifest.family!r}; load another bundle"
         )
     spec = validate_composition(concepts, method, text, lambdas, agd)
     options = resolve_options(pipe.manifest, seconds=seconds, seed=seed, steps=steps, guidance=guidance)

@@ -96,8 +96,9 @@ def sampled(graphmotion: MotionPipeline) -> tuple[Arrays, dict[str, np.ndarray]]
 def test_sampling_of_three_levels(sampled: tuple[Arrays, dict[str, np.ndarray]], stage: int) -> None:
     expected, latents = sampled
     unconditional, conditional = np.split(latents[STAGES[stage]], 2)
-    # random networks under a guidance of 7.5: values to 68, which float32 rounds to 4e-6 a step
-    limit = TOLERANCE * np.abs(expected[f"stage{stage}.latent_final"]).max()
+    # random networks under a guidance of 7.5 over 50 steps: values to 68, of which this is a hundred-thousandth
+    limit = 1e-3
+    assert np.abs(expected[f"stage{stage}.latent_final"]).max() > 40
     np.testing.assert_allclose(conditional, expected[f"stage{stage}.latent_final"], rtol=0, atol=limit)
     wanted = expected[f"stage{stage}.latent_uncond_final"]
     np.testing.assert_allclose(unconditional, wanted, rtol=0, atol=limit)

@@ -16,7 +16,6 @@ from kinegraph.bundle.contract import (
     AGD_CONTEXTS,
     AGD_DENOISERS,
     GRAPHS,
-    LEVELS,
     NODE_KINDS,
     OPTIONAL_GRAPHS,
     Family,
