@@ -18,14 +18,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from kinegraph.arrays import FloatArray, IntArray
-from kinegraph.bundle.contract import NODE_KINDS, SLOT_COUNT, SLOTS
+from kinegraph.bundle.contract import KINDS, SLOT_COUNT, SLOTS
 from kinegraph.bundle.sessions import run_model
 from kinegraph.bundle.tables import EMPTY_CAPTION
 from kinegraph.conditioning import (
-    ACTION,
-    MOTION,
     NO_EDGE,
-    SPECIFIC,
     ConditionEncoder,
     Conditions,
     GraphArrays,
@@ -161,12 +158,13 @@ def slot_graph(
     relation = np.where(types.any(axis=0), types.argmax(axis=0), NO_EDGE).astype(np.int64)
     order, kind = np.zeros(SLOT_COUNT, dtype=np.int64), slot_kinds()
     null, features = (_slot_features(slots, *half) for half in (unconditional, conditional))
-    return SlotGraph(features, relation, np.ones_like(types[0]), kind, order, exists, null, types)
+    owner = np.arange(SLOT_COUNT)
+    return SlotGraph(features, relation, np.ones_like(types[0]), kind, order, exists, owner, null, types)
 
 
 def slot_kinds() -> IntArray:
-    """Return the kind of each slot: (13,) indices into `contract.NODE_KINDS`."""
-    return np.repeat([MOTION, ACTION, SPECIFIC], [SLOTS[name] for name in NODE_KINDS]).astype(np.int64)
+    """Return the kind of each slot: (13,), see `contract.KINDS`."""
+    return np.repeat([KINDS[name] for name in SLOTS], list(SLOTS.values())).astype(np.int64)
 
 
 def _slot_features(slots: dict[int, Sequence[int]], hidden: FloatArray, sentence: FloatArray) -> FloatArray:

@@ -18,6 +18,7 @@ from kinegraph.bundle.contract import (
     GRAPHS,
     NODE_KINDS,
     OPTIONAL_GRAPHS,
+    SLOTS,
     Family,
     GraphContract,
     LevelSpec,
@@ -282,6 +283,9 @@ def _validate(manifest: Manifest) -> None:
     _check_body(manifest)
     _check_features(manifest.features)
     _check_levels(manifest.levels, levels_of(manifest.family))
+    if manifest.family != "kinegraph":
+        for name, level in manifest.levels.items():
+            _require(set(level.nodes) <= set(SLOTS), f"levels.{name}.nodes", f"must be some of {list(SLOTS)}")
     _check_schedule(manifest)
     _check_files(manifest.files, manifest.operators, manifest.family)
 
