@@ -4,6 +4,8 @@
 
 Every clip is brought to the 22 joints, metres, 20 frames per second and Y up, with the floor at 0, starting at the
 origin and facing +Z. The split of a clip depends on its name alone, so that it stays when clips are added.
+
+Published data sets come by `--humanml3d FOLDER` or `--kit FOLDER` instead (`kinegraph_training.prepare_published`).
 """
 
 from __future__ import annotations
@@ -21,6 +23,7 @@ from tqdm import tqdm
 from kinegraph.arrays import FloatArray, Floats
 from kinegraph.errors import InvalidInputError, KinegraphError, OutputError
 from kinegraph.motion.skeleton import JOINT_INDEX, PELVIS, canonicalise
+from kinegraph_training import prepare_published
 from kinegraph_training.data.bvh import joint_positions, read_bvh, resample_bvh
 from kinegraph_training.data.captions_file import match_captions, read_captions
 from kinegraph_training.data.folder import SPLITS, STEP_METRES, PreparedClip, assign_splits, write_data
@@ -228,6 +231,9 @@ def _parser() -> argparse.ArgumentParser:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line; returns 2 on bad input, with the reason on stderr."""
+    given = sys.argv[1:] if arguments is None else arguments
+    if any(argument.partition("=")[0] in prepare_published.SETS for argument in given):
+        return prepare_published.main(arguments)
     parsed = _parser().parse_args(arguments)
     try:
         options = PrepareOptions(
