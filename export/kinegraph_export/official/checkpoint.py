@@ -96,10 +96,9 @@ def read_tensors(path: Path, parts: Sequence[str] = ()) -> dict[str, Tensor]:
     if not path.is_file():
         raise InvalidInputError(f"{path} is no file; name the checkpoint that you downloaded")
     content = _read_safetensors(path) if path.suffix == ".safetensors" else _read_pickled(path)
-    named = content.get("state_dict", content)
-    if not isinstance(named, Mapping) or not any(isinstance(value, Tensor) for value in named.values()):
+    tensors = _named_tensors(content.get("state_dict", content))
+    if not tensors:
         raise InvalidInputError(f"{path} holds no named tensors; keys are {_listed(map(str, content))}")
-    tensors = {str(name): value for name, value in named.items() if isinstance(value, Tensor)}
     while prefix := next((w for w in WRAPPERS if all(name.startswith(w) for name in tensors)), ""):
         tensors = {name.removeprefix(prefix): value for name, value in tensors.items()}
     wanted = {
@@ -109,6 +108,17 @@ def read_tensors(path: Path, parts: Sequence[str] = ()) -> dict[str, Tensor]:
     }
     _check_numbers(path, wanted)
     return wanted
+
+
+def _named_tensors(content: object) -> dict[str, Tensor]:
+    """Pick the tensors of a mapping, and those of mappings in it, which evaluators are saved as."""
+    if not isinstance(content, Mapping):
+        return {}
+    tensors = {str(name): value for name, value in content.items() if isinstance(value, Tensor)}
+    for part, inner in content.items():
+        if isinstance(inner, Mapping):
+            tensors |= {f"{part}.{name}": value for name, value in inner.items() if isinstance(value, Tensor)}
+    return tensors
 
 
 def _read_safetensors(path: Path) -> dict[str, Any]:
