@@ -30,9 +30,9 @@ from kinegraph.arrays import FloatArray
 from kinegraph.bundle.contract import PADDING_BIAS, text_encoder
 from kinegraph.errors import InvalidInputError
 from kinegraph.validation import short_repr
-from kinegraph_export.official.checkpoint import load_weights, read_tensors
 from kinegraph_export.onnx_export import serialise, to_onnx
 from kinegraph_export.parity import InputGenerator, max_difference, relative_error
+from kinegraph_export.tensor_files import load_weights, read_tensors
 from kinegraph_export.text_encoder import PRECISIONS, quantise_text_encoder
 from kinegraph_training.models.transformer import attend, merge_heads, split_heads
 

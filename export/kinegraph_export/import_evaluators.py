@@ -12,8 +12,8 @@ import sys
 from pathlib import Path
 
 from kinegraph.errors import KinegraphError
-from kinegraph_export.official.checkpoint import read_tensors
 from kinegraph_export.official.evaluators import BUILDERS, PARTS, evaluator_weights
+from kinegraph_export.tensor_files import read_tensors
 
 
 def import_evaluators(checkpoint: Path, out: Path) -> dict[str, int]:

@@ -20,8 +20,9 @@ from kinegraph.errors import KinegraphError
 from kinegraph_export.clip_text_encoder import export_clip, load_clip
 from kinegraph_export.graphs import Precision
 from kinegraph_export.official.bundle import Origin, check_sizes, check_target, read_parser, write_imported
-from kinegraph_export.official.checkpoint import DENOISER_HEADS, VAE_HEADS, graphmotion_models, read_tensors
+from kinegraph_export.official.checkpoint import DENOISER_HEADS, VAE_HEADS, graphmotion_models
 from kinegraph_export.official.statistics import read_statistics
+from kinegraph_export.tensor_files import read_tensors
 
 COMPATIBILITY: dict[str, Family] = {"released": "graphmotion-released", "trained": "graphmotion"}
 """Choice on the command line -> family of the bundle, see `contract.Family`."""

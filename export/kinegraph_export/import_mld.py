@@ -18,8 +18,9 @@ from kinegraph_export.clip_text_encoder import export_clip, load_clip
 from kinegraph_export.graphs import Precision
 from kinegraph_export.import_graphmotion import add_arguments, report
 from kinegraph_export.official.bundle import Origin, check_sizes, check_target, read_parser, write_imported
-from kinegraph_export.official.checkpoint import VAE_HEADS, mld_models, read_tensors
+from kinegraph_export.official.checkpoint import VAE_HEADS, mld_models
 from kinegraph_export.official.statistics import read_statistics
+from kinegraph_export.tensor_files import read_tensors
 
 
 def import_mld(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
+import tempfile
 from pathlib import Path
 
 import numpy as np
@@ -26,8 +27,8 @@ from kinegraph_export.clip_text_encoder import (
     read_tokenizer,
     trace_clip,
 )
-from kinegraph_export.official.checkpoint import load_weights, read_tensors
 from kinegraph_export.onnx_export import serialise
+from kinegraph_export.tensor_files import load_weights, read_tensors
 from support.official import BEGIN, END, MERGES, TEXT_WIDTH, write_clip
 from support.shared import shared_path
 
@@ -55,8 +56,6 @@ def official() -> tuple[ClipText, dict[str, np.ndarray]]:
 
 
 def read_config_of(tensors: dict[str, torch.Tensor], settings: dict[str, int]) -> object:
-    import tempfile
-
     with tempfile.TemporaryDirectory() as folder:
         (Path(folder) / "config.json").write_text(json.dumps({"text_config": settings}))
         return read_config(Path(folder), tensors)

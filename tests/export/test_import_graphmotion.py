@@ -29,6 +29,7 @@ pytest.importorskip("onnx")
 
 Arrays = dict[str, np.ndarray]
 STAGES = dict(enumerate(LEVELS, start=1))
+pytestmark = pytest.mark.slow
 TOLERANCE = 1e-4
 WAVES = SemanticGraph("a man waves", (Action("waves", 6, 11, 0, arguments=(Argument("ARG0", "a man", 0, 5),)),))
 SHORT = {"seconds": 2, "seed": 3, "steps": 3}

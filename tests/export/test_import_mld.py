@@ -26,6 +26,7 @@ from support.official import mld_tensors, write_clip, write_lightning, write_sta
 from support.shared import SHARED, shared_path
 
 Arrays = Mapping[str, np.ndarray]
+pytestmark = pytest.mark.slow
 TOLERANCE = 1e-4
 SHORT = {"seconds": 2, "seed": 3, "steps": 4}
 

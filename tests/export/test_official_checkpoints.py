@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import pickle
 from pathlib import Path
 from typing import Any
@@ -18,7 +19,8 @@ from kinegraph.errors import InvalidInputError, OutputError
 from kinegraph_export import import_graphmotion as command
 from kinegraph_export.import_graphmotion import import_graphmotion
 from kinegraph_export.import_mld import import_mld
-from kinegraph_export.official.checkpoint import graphmotion_models, mld_models, read_tensors
+from kinegraph_export.official.checkpoint import graphmotion_models, mld_models
+from kinegraph_export.tensor_files import IGNORED_PARTS, read_tensors
 from support.official import graphmotion_tensors, mld_tensors, write_clip, write_lightning, write_statistics
 from support.shared import shared_path
 
@@ -150,24 +152,21 @@ def test_other_models_are_recognised(tensors: dict[str, torch.Tensor]) -> None:
 
 def test_the_published_layouts_are_those_of_our_modules() -> None:
     """Every published name and shape, at the published size, without its 3 GB."""
-    import json
 
-    from kinegraph_export.official import checkpoint
-
-    def expected(name: str, models: tuple[str, ...]) -> dict[str, torch.Tensor]:
+    def expected(name: str) -> dict[str, torch.Tensor]:
         layout = json.loads(shared_path("fixtures", "official", name).read_text())["parameters"]
         return {
             key: torch.empty(shape, device="meta")
             for key, shape in layout.items()
-            if key.split(".")[0] not in checkpoint.IGNORED_PARTS
+            if key.split(".")[0] not in IGNORED_PARTS
         }
 
     with torch.device("meta"):
-        models = graphmotion_models(expected("graphmotion_state_dict_layout.json", ()))
+        models = graphmotion_models(expected("graphmotion_state_dict_layout.json"))
         specific = models.denoisers["specific"].config
         assert (specific.width, specific.layers, specific.heads, specific.feed_forward) == (1024, 17, 16, 4096)
         assert models.vaes["action"].config.tokens == 4
-        published = mld_models(expected("mld_state_dict_layout.json", ()))
+        published = mld_models(expected("mld_state_dict_layout.json"))
         assert (published.denoiser.config.width, published.denoiser.config.layers) == (256, 9)
 
 

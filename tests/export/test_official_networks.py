@@ -11,12 +11,14 @@ pytest.importorskip("onnx")
 import onnxruntime
 
 from kinegraph.bundle.contract import LEVELS, LevelSpec, decoder
-from kinegraph_export.official.checkpoint import build_vae, graphmotion_models, load_weights, read_tensors
+from kinegraph_export.official.checkpoint import build_vae, graphmotion_models
 from kinegraph_export.official.graphs import VaeDecoderGraph, VaeEncoderGraph, export_graph, vae_encoder_contract
 from kinegraph_export.official.vae import OfficialVae, OfficialVaeConfig
+from kinegraph_export.tensor_files import load_weights, read_tensors
 from support.official import graphmotion_tensors, randomise
 from support.shared import shared_path
 
+pytestmark = pytest.mark.slow
 TOLERANCE = 1e-4
 CONFIG = OfficialVaeConfig(251, 2, 16, 3, 4, 32, 263)
 

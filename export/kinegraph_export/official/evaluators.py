@@ -70,7 +70,7 @@ def evaluator_weights(tensors: Mapping[str, Tensor], part: str) -> dict[str, np.
     """Pick the weights of one network out of a checkpoint.
 
     Args:
-        tensors: by name, of `checkpoint.read_tensors`.
+        tensors: by name, of `tensor_files.read_tensors`.
         part: of `PARTS`.
 
     Raises:
