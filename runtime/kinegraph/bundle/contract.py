@@ -120,7 +120,8 @@ class GraphContract:
 def text_encoder(text_width: int) -> GraphContract:
     """Declare the text encoder.
 
-    `hidden` holds the token states. `pooled` is their mean over unmasked tokens, special ones included, not normalised.
+    `hidden` holds the token states. `pooled` is their mean over unmasked tokens, special ones included, not normalised;
+    CLIP's is the projected state of its end token.
 
     Args:
         text_width: D.
