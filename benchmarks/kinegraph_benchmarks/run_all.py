@@ -55,12 +55,14 @@ def list_benchmarks(options: argparse.Namespace) -> list[Benchmark]:
         Benchmark("take_equality", "quality.take_equality", "Takes and the clips of their seeds", ()),
         Benchmark("negations", "quality.negations", "Actions that must not happen", data),
         Benchmark("wording", "quality.wording", "Directions, orders and lengths in words", data),
+        Benchmark("everyday", "quality.everyday", "Everyday sentences", ()),
         Benchmark("foot_fix", "quality.foot_fix", "Feet held, and not", data),
         Benchmark("evaluate", "quality.evaluate", "The default bundle", (*data, *held_out, *work, *repeats)),
         Benchmark("masked_verbs", "quality.masked_verbs", "Verbs masked (GraphMotion, Table 6)", (*data, *work)),
         Benchmark("edit_curves", "quality.edit_curves", "Weights of edges", ()),
         Benchmark("composition_settings", "quality.composition_settings",
                   "Ways of composing (EnergyMoGen, Tables 7 and 9)", (*data, *held_out)),
+        Benchmark("composition", "quality.composition", "Two and three concepts, and weights", ()),
         Benchmark("sampling", "quality.sampler_sweep", "Steps, spacing and guidance", (*data, *work)),
     ]  # fmt: skip
     return benchmarks + (list_ablations(options) if options.compare_steps else [])

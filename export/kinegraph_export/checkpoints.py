@@ -11,6 +11,7 @@ from kinegraph.bundle.contract import COARSE_DECODERS
 from kinegraph.errors import InvalidInputError
 from kinegraph_export.graphs import CoarseDecoder, TrainedModels
 from kinegraph_export.onnx_export import round_weights
+from kinegraph_training.checkpoints import read_checkpoint
 from kinegraph_training.latents import TrainedVae, read_vae
 from kinegraph_training.models.denoiser import DenoiserConfig, LatentShape
 from kinegraph_training.models.hierarchy import Hierarchy
@@ -32,7 +33,7 @@ def read_run(run: Path) -> tuple[TrainedModels, TrainedVae]:
     for path in (denoisers, vae):
         if not path.is_file():
             raise InvalidInputError(f"{path} is missing; train that stage first")
-    state = torch.load(denoisers, map_location="cpu", weights_only=True)
+    state = read_checkpoint(denoisers)
     settings = state["hyper_parameters"]
     latents = {level: LatentShape(**shape) for level, shape in settings["latents"].items()}
     hierarchy = Hierarchy(DenoiserConfig(**settings["config"]), latents)

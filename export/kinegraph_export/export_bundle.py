@@ -24,8 +24,8 @@ import torch
 
 import kinegraph
 from kinegraph.arrays import FloatArray
+from kinegraph.bundle.contract import FORMAT_VERSION
 from kinegraph.bundle.manifest import (
-    FORMAT_VERSION,
     Defaults,
     FeatureSpec,
     FrameSpec,
@@ -222,7 +222,8 @@ def pipeline_difference(folder: Path, trained: TrainedModels, specific: TrainedV
     for seed, prompt in enumerate(PROMPTS):
         graph = pipe.parse(prompt)
         # The stages themselves: `generate` reads orders and negations into the sentence first, and torch does not.
-        features = pipe.encoder.encode_text([graph])
+        # Some are told to be captions of a part, as those of a composition are.
+        features = pipe.encoder.encode_text([graph], [seed % 4 == 3])
         options = resolve_options(pipe.manifest, seed=seed, foot_fix=False)
         options = pipe.encoder.with_length(options, features)
         latents = pipe.sampler.sample(pipe.encoder.attend(features), None, [options])

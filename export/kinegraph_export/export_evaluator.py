@@ -19,6 +19,7 @@ from torch import nn
 from kinegraph.errors import InvalidInputError
 from kinegraph_export.onnx_export import round_weights, serialise, store_float16, to_onnx
 from kinegraph_export.parity import ParityError
+from kinegraph_training.checkpoints import read_checkpoint
 from kinegraph_training.models.evaluator import EvaluatorConfig, MotionEncoder, TextEncoder
 
 TOLERANCE = 1e-4
@@ -38,7 +39,7 @@ def read_evaluator(run: Path) -> tuple[MotionEncoder, TextEncoder, np.ndarray, n
     path = run / "last.ckpt"
     if not path.is_file():
         raise InvalidInputError(f"{path} is missing; train the evaluator first (kinegraph_training.train_evaluator)")
-    state = torch.load(path, map_location="cpu", weights_only=True)
+    state = read_checkpoint(path)
     config = EvaluatorConfig(**state["hyper_parameters"]["config"])
     encoders = nn.ModuleDict({"motion": MotionEncoder(config), "text": TextEncoder(config)})
     weights, prefix = state["state_dict"], "encoders."

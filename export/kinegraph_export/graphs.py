@@ -16,8 +16,8 @@ from kinegraph.bundle.contract import (
     AGD_CONTEXTS,
     AGD_DENOISERS,
     COARSE_DECODERS,
+    KINDS,
     LEVELS,
-    NODE_KINDS,
     GraphContract,
     LevelSpec,
     contracts,
@@ -101,7 +101,7 @@ def level_specs(trained: TrainedModels) -> dict[str, LevelSpec]:
             width=config.width,
             heads=config.heads,
             layers=config.layers,
-            nodes=NODE_KINDS[: config.kinds_seen(level)],
+            nodes=config.kinds_seen(level),
         )
         for level, shape in trained.hierarchy.latents.items()
     }
@@ -114,8 +114,8 @@ def graph_modules(trained: TrainedModels) -> dict[str, nn.Module]:
         denoiser = trained.hierarchy.levels[level]
         top = level == LEVELS[0]
         modules[f"context_{level}"] = (MotionContextGraph if top else ContextGraph)(denoiser.context)
-        modules[f"clock_{level}"] = ModulationGraph(denoiser.clock)
-        modules[f"step_{level}"] = DenoiserGraph(denoiser.step)
+        modules[f"modulation_{level}"] = ModulationGraph(denoiser.clock)
+        modules[f"denoiser_{level}"] = DenoiserGraph(denoiser.step)
         modules[AGD_CONTEXTS[level]] = (MotionAgdContextGraph if top else AgdContextGraph)(denoiser.context)
         modules[AGD_DENOISERS[level]] = AgdDenoiserGraph(AgdNoisePredictor(denoiser))
     modules["decoder"] = DecoderGraph(trained.vae, trained.centre, trained.scale)
@@ -140,6 +140,10 @@ def random_inputs(contract: GraphContract, frames_per_token: int, *, distinct: b
         size = {axis: int(rng.integers(2, 12)) for axis in free}
         if "M" in size:
             size["M"] = size["R"] if distinct else int(rng.choice([1, size["R"]]))
+        coarse = [spec.axes[1] for spec in contract.inputs if spec.name == "coarse"]
+        if coarse:
+            # The context tokens are the nodes, then those of the coarser latent.
+            size["S"] = size["N"] + int(coarse[0])
         if "L" in size:
             size["L"] = frames_per_token * int(rng.integers(4, 49))
         feeds = {}
@@ -158,7 +162,7 @@ def _random_values(name: str, shape: tuple[int, ...], size: dict[str, int], rng:
         relation[:, np.arange(shape[1]), np.arange(shape[1])] = 11
         return relation
     if name == "kind":
-        return rng.integers(0, 4, shape)
+        return rng.integers(0, len(KINDS), shape)
     if name == "order":
         return rng.integers(0, 20, shape)
     if name == "timestep":

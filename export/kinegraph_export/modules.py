@@ -10,14 +10,14 @@ from kinegraph_training.models.vae import MotionVae
 
 
 class ContextGraph(nn.Module):
-    """Graph context_{level}: nodes and coarser latent -> key_0, value_0, key_1, ... of each layer."""
+    """Graph context_{level}: nodes, bias and coarser latent -> key_0, value_0, key_1, ... of each layer."""
 
     def __init__(self, context: ContextEncoder) -> None:
         super().__init__()
         self.context = context
 
-    def forward(self, nodes: Tensor, kind: Tensor, order: Tensor, coarse: Tensor) -> tuple[Tensor, ...]:
-        return self.outputs(nodes, kind, order, coarse)
+    def forward(self, nodes: Tensor, kind: Tensor, order: Tensor, bias: Tensor, coarse: Tensor) -> tuple[Tensor, ...]:
+        return self.outputs(nodes, kind, order, bias, coarse)
 
     def outputs(self, *inputs: Tensor) -> tuple[Tensor, ...]:
         """Flatten the keys and values of all layers."""
@@ -27,12 +27,14 @@ class ContextGraph(nn.Module):
 class MotionContextGraph(ContextGraph):
     """Graph context_motion, which has no coarser latent."""
 
-    def forward(self, nodes: Tensor, kind: Tensor, order: Tensor) -> tuple[Tensor, ...]:  # type: ignore[override]
-        return self.outputs(nodes, kind, order)
+    def forward(  # type: ignore[override]
+        self, nodes: Tensor, kind: Tensor, order: Tensor, bias: Tensor
+    ) -> tuple[Tensor, ...]:
+        return self.outputs(nodes, kind, order, bias)
 
 
 class AgdContextGraph(ContextGraph):
-    """Graph context_{level}_agd: nodes and coarser latent -> the tokens that keys and values are projected from."""
+    """Graph context_{level}_agd: the same inputs -> the tokens that keys and values are projected from."""
 
     def outputs(self, *inputs: Tensor) -> tuple[Tensor, ...]:
         """Stop before the projections: adaptive gradient descent moves the tokens."""
@@ -44,7 +46,7 @@ class MotionAgdContextGraph(MotionContextGraph, AgdContextGraph):
 
 
 class ModulationGraph(nn.Module):
-    """Graph clock_{level}: timesteps (k,), frames (b,) -> modulation (k, b, m, d)."""
+    """Graph modulation_{level}: timesteps (k,), frames (b,) -> modulation (k, b, m, d)."""
 
     def __init__(self, clock: AdaLNModulation) -> None:
         super().__init__()
@@ -55,7 +57,7 @@ class ModulationGraph(nn.Module):
 
 
 class DenoiserGraph(nn.Module):
-    """Graph step_{level}: latent, modulation, keys and values, src, combine, bias -> noise."""
+    """Graph denoiser_{level}: latent, modulation, keys and values, src, combine, bias -> noise."""
 
     def __init__(self, step: NoisePredictor) -> None:
         super().__init__()
@@ -69,7 +71,7 @@ class DenoiserGraph(nn.Module):
 
 
 class AgdDenoiserGraph(nn.Module):
-    """Graph step_{level}_agd: latent, modulation, context, gamma, src, combine, bias -> noise."""
+    """Graph denoiser_{level}_agd: latent, modulation, context, gamma, src, combine, bias -> noise."""
 
     def __init__(self, step: AgdNoisePredictor) -> None:
         super().__init__()

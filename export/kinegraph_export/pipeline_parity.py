@@ -5,7 +5,7 @@ It shares neither schedule nor loop nor batching with the runtime's sampler; noi
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,7 +13,7 @@ import torch
 from torch import Tensor
 
 from kinegraph.arrays import FloatArray
-from kinegraph.bundle.contract import NULL_KIND, PADDING_BIAS
+from kinegraph.bundle.contract import KINDS, PADDING_BIAS
 from kinegraph.conditioning import GraphArrays
 from kinegraph.motion.features import joints_from_features
 from kinegraph_export.graphs import TrainedModels
@@ -42,33 +42,49 @@ def alpha_bar(train_steps: int = 1000) -> Tensor:
     return torch.cumprod(1 - torch.linspace(0.00085**0.5, 0.012**0.5, train_steps, dtype=torch.float64) ** 2, dim=0)
 
 
-Condition = tuple[list[tuple[Tensor, Tensor]], Tensor]
-"""Keys and values of each layer, and the attention bias (1, n) of the nodes."""
+@dataclass(frozen=True)
+class LevelConditions:
+    """Context tokens of one prediction, n nodes and words and s in all."""
+
+    context: list[tuple[Tensor, Tensor]]
+    """Keys and values of each layer."""
+    tokens: Tensor
+    """(1, s, d) that they are projected from, which adaptive gradient descent moves."""
+    bias: Tensor
+    """(1, s) log weight of each token."""
 
 
 def level_conditions(
-    denoiser: Denoiser, graph: GraphArrays, nodes: Tensor, kinds: int, coarse: Tensor | None
-) -> tuple[dict[str, Condition], Tensor]:
-    """Encode the nodes that a level sees, and the empty condition of guidance.
+    denoiser: Denoiser, graph: GraphArrays, nodes: Tensor, kinds: Sequence[str], coarse: Tensor | None, *, empty: bool
+) -> dict[str, LevelConditions]:
+    """Encode what a level sees, "text", and the condition that guidance leads away from, "null".
 
     Args:
         denoiser: of the level.
         graph: kinds, order and weights of the nodes.
         nodes: (n, d) encoded nodes.
-        kinds: node kinds that the level sees.
+        kinds: names of the kinds that the level sees.
         coarse: (1, c, z) final latent of the level above; None at the first.
-
-    Returns:
-        Conditions "text" and "null", and the tokens (1, n, d) that adaptive gradient descent moves.
+        empty: whether "null" does not see the coarser latent either.
     """
-    visible = torch.from_numpy(graph.kind < kinds)
+    visible = torch.from_numpy(np.isin(graph.kind, [KINDS[name] for name in (*kinds, "partial")]))
     kind, order = torch.from_numpy(graph.kind)[visible][None], torch.from_numpy(graph.order)[visible][None]
-    seen = nodes[visible][None]
     bias = torch.log(torch.from_numpy(graph.path_weight)[visible][None]).clamp(min=PADDING_BIAS)
-    null_kind = torch.full((1, 1), NULL_KIND)
-    empty = denoiser.context(torch.zeros(1, 1, nodes.shape[-1]), null_kind, torch.zeros_like(null_kind), coarse)
-    conditions = {"text": (denoiser.context(seen, kind, order, coarse), bias), "null": (empty, torch.zeros(1, 1))}
-    return conditions, ContextTokens.forward(denoiser.context, seen, kind, order, coarse)
+    blank = torch.zeros(1, 1, nodes.shape[-1])
+    null_kind = torch.full((1, 1), KINDS["null"])
+    coarse_tokens = 0 if coarse is None else coarse.shape[1]
+
+    def encode(seen: Tensor, kind: Tensor, order: Tensor, node_bias: Tensor, coarse_bias: float) -> LevelConditions:
+        full = torch.cat([node_bias, torch.full((1, coarse_tokens), coarse_bias)], dim=1)
+        inputs = (seen, kind, order, full, coarse)
+        return LevelConditions(denoiser.context(*inputs), ContextTokens.forward(denoiser.context, *inputs), full)
+
+    return {
+        "text": encode(nodes[visible][None], kind, order, bias, 0.0),
+        "null": encode(
+            blank, null_kind, torch.zeros_like(null_kind), torch.zeros(1, 1), PADDING_BIAS if empty else 0.0
+        ),
+    }
 
 
 def sample_level(
@@ -90,23 +106,21 @@ def sample_level(
         request: length, noise and options.
     """
     denoiser, config = trained.hierarchy.levels[level], trained.hierarchy.config
-    conditions, tokens = level_conditions(denoiser, graph, nodes, config.kinds_seen(level), coarse)
-    coarse_tokens = 0 if coarse is None else coarse.shape[1]
+    empty = request.guidance_base == "empty"
+    conditions = level_conditions(denoiser, graph, nodes, config.kinds_seen(level), coarse, empty=empty)
     latent = torch.from_numpy(request.noise[config.levels.index(level)])[None]
     alphas, stride = alpha_bar(), 1000 // request.steps[level]
     for index in reversed(range(request.steps[level])):
         time = index * stride + 1
         clock = denoiser.clock(torch.tensor([time]), torch.tensor([request.frames]))
         noise = {}
-        for name, (context, bias) in conditions.items():
-            hide_coarse = name == "null" and request.guidance_base == "empty"
-            coarse_bias = torch.full((1, coarse_tokens), PADDING_BIAS if hide_coarse else 0.0)
-            full_bias = torch.cat([bias, coarse_bias], dim=1)[:, None, None, :]
+        for name, condition in conditions.items():
+            bias = condition.bias[:, None, None, :]
             if name == "text" and request.agd is not None:
                 gamma = torch.tensor([request.agd])
-                noise[name] = AgdNoisePredictor(denoiser)(latent, clock, tokens, gamma, full_bias)
+                noise[name] = AgdNoisePredictor(denoiser)(latent, clock, condition.tokens, gamma, bias)
             else:
-                noise[name] = denoiser.step(latent, clock, context, full_bias)
+                noise[name] = denoiser.step(latent, clock, condition.context, bias)
         guided = noise["null"] + request.guidance[level] * (noise["text"] - noise["null"])
         # DDIM, Eq. 12 with eta = 0: z_0 from z_t and eps, then z_{t-1} from z_0 and eps
         now, after = alphas[time], alphas[max(time - stride, 0)]

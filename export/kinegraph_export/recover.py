@@ -26,13 +26,21 @@ import torch
 from onnx import numpy_helper
 from torch import nn
 
-from kinegraph.bundle.contract import COARSE_DECODERS, LEVELS, OPTIONAL_GRAPHS, GraphContract, contracts
+from kinegraph.bundle.contract import (
+    COARSE_DECODERS,
+    FORMAT_VERSION,
+    LEVELS,
+    OPTIONAL_GRAPHS,
+    GraphContract,
+    contracts,
+)
 from kinegraph.bundle.reader import Bundle, read_bundle
 from kinegraph.bundle.vocabulary import FILE as VOCABULARY
 from kinegraph.errors import InvalidInputError
 from kinegraph_export.graphs import TrainedModels, graph_modules, trace_to_onnx
 from kinegraph_export.modules import CoarseDecoderGraph, DecoderGraph
 from kinegraph_training.bundle_tables import write_tables
+from kinegraph_training.checkpoints import read_checkpoint
 from kinegraph_training.config import Preset, read_preset
 from kinegraph_training.dataset import drop_long_clips, training_set
 from kinegraph_training.latents import encode_clips, read_vae, standardise
@@ -136,7 +144,7 @@ def store_encoder(checkpoint: Path, out: Path) -> None:
         checkpoint: of `train_vae`.
         out: checkpoint to write.
     """
-    state = torch.load(checkpoint, map_location="cpu", weights_only=True)
+    state = read_checkpoint(checkpoint)
     weights = {}
     for name, value in state["state_dict"].items():
         if not name.startswith("vae."):  # the normalisation of features
@@ -158,7 +166,7 @@ def recover_autoencoder(bundle: Bundle, level: str, checkpoint: Path, contract: 
     Raises:
         InvalidInputError: the checkpoint lacks weights of the encoder, or the bundle has no decoder for it.
     """
-    state = torch.load(checkpoint, map_location="cpu", weights_only=True)
+    state = read_checkpoint(checkpoint)
     vae = MotionVae(VaeConfig(**state["hyper_parameters"]["config"])).eval()
     encoder = {name.removeprefix("vae."): v for name, v in state["state_dict"].items() if name.startswith("vae.")}
     missing = {name.split(".")[0] for name in vae.load_state_dict(encoder, strict=False).missing_keys}
@@ -241,10 +249,16 @@ def recover(
 
     Raises:
         BundleError: the bundle cannot be read.
-        InvalidInputError: it was not exported from this preset, or lacks a decoder whose weights `vaes` lack too.
+        InvalidInputError: it was not exported from this preset, is of an older format, or lacks a decoder whose
+            weights `vaes` lack too.
     """
     bundle, config = read_bundle(folder), read_preset(preset)
     manifest = bundle.manifest
+    if manifest.format_version != FORMAT_VERSION:
+        raise InvalidInputError(
+            f"the bundle has format {manifest.format_version}, and denoisers of format {FORMAT_VERSION} have further "
+            "weights; recover it with the kinegraph that exported it"
+        )
     declared = contracts(manifest.levels, config.denoiser.text_width, len(manifest.features.mean))
     for level in LEVELS:
         contract = declared[COARSE_DECODERS.get(level, "decoder")]

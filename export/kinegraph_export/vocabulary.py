@@ -20,6 +20,7 @@ import numpy as np
 
 from kinegraph.arrays import FloatArray
 from kinegraph.bundle.manifest import decode_manifest, describe_file, encode_manifest
+from kinegraph.bundle.reader import text_files_folder
 from kinegraph.bundle.vocabulary import (
     ACTION_SENTENCE,
     FILE,
@@ -73,6 +74,10 @@ OTHER_ACTIONS: Final = (
 """Everyday actions. Those that training did not show are embedded too: what is nearer to one of them is not known."""
 
 
+OTHERS_JOINED = 20
+"""Actions that each action is worded together with; captions of the run's own compositions come on top."""
+
+
 def build_vocabulary(shown: Sequence[ShownCaptions], encoder: CaptionEncoder) -> bytes:
     """Build the content of `vocabulary.npz`.
 
@@ -119,8 +124,8 @@ def training_captions(clips: Iterable[ShownCaptions]) -> set[str]:
         captions |= {ACTION_SENTENCE.format(f"is {text}") for text in PHRASES[action].participle}
         for template in COUNTED_STEPS.get(action, ()):
             captions |= {template.format(subject="a person", n=number) for number in NUMBERS}
-        for other in actions:
-            captions |= {*splice_caption(action, other, "", rng), *sequence_caption(action, other, "", rng)}
+        for other in rng.choice(actions, min(len(actions), OTHERS_JOINED), replace=False):
+            captions |= {*splice_caption((action, str(other)), "", rng), *sequence_caption(action, str(other), "", rng)}
         captions |= {
             ACTION_SENTENCE.format(f"{PHRASES[action].finite[0]} {text}".strip())
             for style in styles
@@ -220,6 +225,11 @@ def add_to_bundle(folder: Path, data: bytes) -> None:
     write_atomically(path, sealed, force=True)
 
 
+def text_files_of(bundle: Path) -> Path:
+    """Return the folder of the files that read text for a bundle: its own, or that of installed bundles."""
+    return bundle if (bundle / "text_encoder.onnx").is_file() else text_files_folder()
+
+
 def main(argv: list[str] | None = None) -> None:
     """Run the command line."""
     parser = argparse.ArgumentParser(prog="kinegraph_export.vocabulary", description=__doc__.split("\n")[0])
@@ -227,7 +237,7 @@ def main(argv: list[str] | None = None) -> None:
     parser.add_argument("--bundle", type=Path, required=True, help="folder of the bundle, which is changed")
     options = parser.parse_args(argv)
     shown = [clip for folder in options.data for clip in read_data_captions(folder)]
-    data = build_vocabulary(shown, CaptionEncoder(options.bundle))
+    data = build_vocabulary(shown, CaptionEncoder(text_files_of(options.bundle)))
     add_to_bundle(options.bundle, data)
     print(f"{FILE}: {len(data) / 1e3:.0f} kB in {options.bundle}")
 

@@ -82,7 +82,7 @@ class BenchReport:
     bundle: str
     precision: str
     threads: Mapping[str, int]
-    """Of the step sessions and of the others."""
+    """Of the denoisers and of the others."""
     seconds: float
     """Length of the clip."""
     stages: Mapping[str, tuple[float, ...]]
@@ -94,12 +94,17 @@ class BenchReport:
 
 
 def bench(
-    path: Path | None = None, *, seconds: float = 4.0, repeats: int = 30, threads: int | None = None, cold: int = 3
+    path: str | Path | None = None,
+    *,
+    seconds: float = 4.0,
+    repeats: int = 30,
+    threads: int | None = None,
+    cold: int = 3,
 ) -> BenchReport:
     """Time the stages of clips, cold starts and idle sessions of a bundle.
 
     Args:
-        path: folder of the bundle; None is the one that comes with the package.
+        path: folder of the bundle, or the name of an installed one; None is the default bundle.
         seconds: length of the clip.
         repeats: clips timed, after `WARM_UP` more.
         threads: as in `MotionPipeline.load`.
@@ -177,7 +182,7 @@ class _StageTimer:
         """Make a pipeline of the same bundle whose sessions and tokenizer are timed."""
         sessions = inner.sampler.sessions
         tokenizer = self._around(inner.encoder.tokenizer, "encode", "tokens")
-        self.threads = {"steps": _threads(sessions.step[LEVELS[-1]]), "others": _threads(sessions.decoder)}
+        self.threads = {"steps": _threads(sessions.denoiser[LEVELS[-1]]), "others": _threads(sessions.decoder)}
         graph_encoder = sessions.graph_encoder
         watched = replace(
             sessions,
@@ -255,13 +260,14 @@ def _measure_idle() -> float:
     return (time.process_time() - start) / IDLE_SECONDS
 
 
-def _measure_cold_start(path: Path | None, seconds: float, kind: str, repeats: int) -> ColdStart:
+def _measure_cold_start(path: str | Path | None, seconds: float, kind: str, repeats: int) -> ColdStart:
     times, peaks = [], []
     with tempfile.TemporaryDirectory() as folder:
         graph, target = Path(folder) / "graph.json", Path(folder) / "clip.bvh"
         graph.write_text(GRAPH.to_json(), encoding="utf-8")
         text = ["--graph", str(graph)] if kind == "graph" else [GRAPH.caption]
-        more = [] if path is None else ["--bundle", str(path)]
+        # A `Path` is never the name of an installed bundle, the text of an absolute one neither.
+        more = [] if path is None else ["--bundle", path if isinstance(path, str) else str(path.absolute())]
         words = ["generate", *text, *more, "-o", str(target), "--seconds", str(seconds), "--force", "--quiet"]
         for _ in range(repeats):
             start = time.perf_counter()

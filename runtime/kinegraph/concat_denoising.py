@@ -136,8 +136,9 @@ class ConcatSampler(LatentSampler):
             inputs["coarse"] = np.broadcast_to(halves, (2, graphs, *coarse.shape[1:])).reshape(-1, *coarse.shape[1:])
             mask = np.concatenate([np.ones((graphs, coarse.shape[1]), dtype=np.float32), mask], axis=1)
         (condition,) = run_model(self.sessions.context[level], ["condition"], inputs, "the context encoder")
-        (time,) = run_model(self.sessions.clock[level], ["time"], {"timestep": ddim.timesteps}, "the time embedding")
-        step = self.sessions.step[level]
+        timestep = {"timestep": ddim.timesteps}
+        (time,) = run_model(self.sessions.modulation[level], ["time"], timestep, "the time embedding")
+        step = self.sessions.denoiser[level]
         scale = options[0].guidance[level]
         return ConcatPrediction(step, condition, np.concatenate([mask, mask]), time, guidance, scale)
 

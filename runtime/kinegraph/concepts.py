@@ -124,6 +124,13 @@ class CompositionSpec:
     """Shares of the latent-aware, semantic-aware and joint-text terms."""
     agd: tuple[float, float]
     """Step sizes gamma_attn and gamma_reg of adaptive gradient descent (Eq. 3, 4); (0, 0) switches it off."""
+    partial: tuple[bool, ...]
+    """For each of `texts` whether it names only a part of what happens (`conditioning.as_partial`).
+
+    Negated concepts always do, as a sentence and its spoken negation say different things. Positive concepts do where
+    there are several; a single one is all that happens, so that composing it is generating it. The joint text never
+    does.
+    """
 
     @property
     def texts(self) -> list[str | SemanticGraph]:
@@ -150,7 +157,13 @@ def validate_composition(concepts: object, method: object, text: Any, lambdas: o
     joint = joint_caption(checked) if text is None else text
     if not isinstance(joint, SemanticGraph):
         check_caption(joint)
-    return CompositionSpec(wanted, negated, joint, shares, _validate_step_sizes(agd))
+    several = len({concept.text for concept in checked if concept.weight > 0}) > 1
+    partial = (
+        *(several or concept.weight < 0 for concept in wanted),
+        *([False] if shares[2] else []),
+        *(True for _ in negated),
+    )
+    return CompositionSpec(wanted, negated, joint, shares, _validate_step_sizes(agd), partial)
 
 
 def _short(values: object) -> str:
@@ -239,6 +252,8 @@ class SamplingPlan:
     weights: CompositionWeights
     length_from: tuple[int, ...]
     """Indices of the graphs whose sentences tell the length of the clip."""
+    partial: tuple[bool, ...]
+    """For each graph whether its caption names only a part of what happens (`conditioning.as_partial`)."""
 
     def __post_init__(self) -> None:
         if len(self.graphs) > MAX_ROWS:
@@ -258,7 +273,8 @@ class SamplingPlan:
 
         Args:
             graph: what should happen.
-            negated: what must not; each counts with `SPOKEN_NEGATION_WEIGHT` (EnergyMoGen, Eq. 8).
+            negated: what must not; each counts with `SPOKEN_NEGATION_WEIGHT` (EnergyMoGen, Eq. 8), and names only a
+                part of what could happen.
 
         Raises:
             InvalidGraphError: every action has weight 0.
@@ -270,7 +286,8 @@ class SamplingPlan:
             for term, coefficient in weighted_edge_terms(unwanted)
         ]
         weights = CompositionWeights(coefficients, negated=tuple(weight for _, weight in negations))
-        return SamplingPlan((*graphs, *(term for term, _ in negations)), weights, (0,))
+        partial = (*(False for _ in graphs), *(True for _ in negations))
+        return SamplingPlan((*graphs, *(term for term, _ in negations)), weights, (0,), partial)
 
     @staticmethod
     def for_composition(spec: CompositionSpec, graphs: Sequence[SemanticGraph]) -> SamplingPlan:
@@ -307,9 +324,10 @@ class SamplingPlan:
             index for index, concept in zip(first_terms, spec.concepts, strict=False) if concept.weight > 0
         )
         all_graphs = tuple(graph for part in terms for graph, _ in part)
-        return SamplingPlan(
-            all_graphs, CompositionWeights(concepts, joint, negated, spec.lambdas, spec.agd), length_from
-        )
+        # The terms of weighted edges follow their graph.
+        partial = tuple(is_part for is_part, part in zip(spec.partial, terms, strict=True) for _ in part)
+        weights = CompositionWeights(concepts, joint, negated, spec.lambdas, spec.agd)
+        return SamplingPlan(all_graphs, weights, length_from, partial)
 
 
 def weighted_edge_terms(graph: SemanticGraph) -> list[tuple[SemanticGraph, float]]:

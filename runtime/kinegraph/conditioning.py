@@ -88,10 +88,19 @@ class ConditionEncoder:
     tables: Mapping[str, FloatArray]
     """Arrays of `tables.npz`; the duration model is one of them."""
 
-    def encode_text(self, graphs: Sequence[SemanticGraph]) -> list[GraphArrays]:
-        """Encode the captions of graphs and read their node features off the hidden states."""
-        words = any("word" in level.nodes for level in self.manifest.levels.values())
-        return [encode_caption(self.sessions.text_encoder, self.tokenizer, graph, words=words) for graph in graphs]
+    def encode_text(self, graphs: Sequence[SemanticGraph], partial: Sequence[bool] = ()) -> list[GraphArrays]:
+        """Encode the captions of graphs and read their node features off the hidden states.
+
+        Args:
+            graphs: of the captions.
+            partial: for each graph whether its caption names only a part of what happens (`as_partial`); none by
+                default. Bundles before format 4 have no token for it, and take such captions for whole ones.
+        """
+        words = self.manifest.attends_to_words
+        arrays = [encode_caption(self.sessions.text_encoder, self.tokenizer, graph, words=words) for graph in graphs]
+        if not partial or not self.manifest.knows_partial_captions:
+            return arrays
+        return [as_partial(graph) if is_part else graph for graph, is_part in zip(arrays, partial, strict=True)]
 
     def embed(self, sentences: Sequence[str]) -> FloatArray:
         """Encode sentences to (n, D), each of length 1, in one run; see `text.vocabulary.PhraseEncoder`.
@@ -313,7 +322,7 @@ def log_weight(weight: FloatArray) -> FloatArray:
 
 
 def for_level(conditions: Conditions, kinds: Sequence[str]) -> Conditions:
-    """Keep the nodes that a level sees.
+    """Keep the nodes and words that a level sees; learned tokens are seen at every level.
 
     The others are cut off, or masked where another row of the batch needs their place.
 

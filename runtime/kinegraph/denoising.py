@@ -6,10 +6,10 @@ the level above among its conditions. `sample_hierarchy` is the loop; `LatentSam
     papers                                  here
     z_t                                     latents (B, C, z) of B samples, C tokens of width z
     z_T                                     diffusion.sampling.initial_noise
-    eps(z_t, c, t)                          NoisePredictor: R latent rows in one run of a level's step graph
+    eps(z_t, c, t)                          NoisePredictor: R latent rows in one run of a level's denoiser
     eps_0 + s (eps_c - eps_0), Eq. A        GuidedPrediction, diffusion.sampling.guide
     Eq. 7-10 (EnergyMoGen)                  ComposedPrediction, diffusion.composition
-    Eq. 3, 4 (EnergyMoGen)                  adaptive gradient descent: the step graphs "_agd", given step sizes gamma
+    Eq. 3, 4 (EnergyMoGen)                  adaptive gradient descent: the graphs denoiser_*_agd, given step sizes gamma
     z_{t-1}                                 diffusion.sampling.ddim_step
 """
 
@@ -185,7 +185,7 @@ class LatentSampler:
         Raises:
             InvalidInputError: `agd` is not (0, 0), and the bundle has no graphs for it.
         """
-        if any(agd) and not self.sessions.step_agd:
+        if any(agd) and not self.sessions.denoiser_agd:
             raise InvalidInputError(
                 f"bundle {self.manifest.name} {self.manifest.version} has no graphs for adaptive gradient descent: "
                 "leave agd out, or export the bundle again with this kinegraph"
@@ -244,13 +244,12 @@ class LatentSampler:
         gamma: FloatArray | None = None,
     ) -> NoisePredictor:
         sessions = self.sessions
-        modulation = adaln_modulation(sessions.clock[level], ddim.timesteps, frames)
+        modulation = adaln_modulation(sessions.modulation[level], ddim.timesteps, frames)
         if gamma is None:
-            return bind_step_inputs(
-                sessions.context[level], sessions.step[level], contexts, coarse, routing, modulation
-            )
-        context, step = sessions.context_agd[level](), sessions.step_agd[level]()
-        return bind_step_inputs(context, step, contexts, coarse, routing, modulation, gamma)
+            context, denoiser = sessions.context[level], sessions.denoiser[level]
+        else:
+            context, denoiser = sessions.context_agd[level](), sessions.denoiser_agd[level]()
+        return bind_step_inputs(context, denoiser, contexts, coarse, routing, modulation, gamma)
 
 
 @dataclass(frozen=True)
@@ -283,9 +282,9 @@ class ComposedPrediction:
 
 @dataclass(frozen=True)
 class NoisePredictor:
-    """A level's step graph with all inputs that are constant over the steps; made by `bind_step_inputs`."""
+    """A level's denoiser with all inputs that are constant over the steps; made by `bind_step_inputs`."""
 
-    step: onnxruntime.InferenceSession
+    denoiser: onnxruntime.InferenceSession
     constant: Mapping[str, Any]
     """Keys and values (or projected contexts), routing, bias, step sizes."""
     modulation: FloatArray
@@ -294,14 +293,14 @@ class NoisePredictor:
     def __call__(self, latents: FloatArray, index: int) -> FloatArray:
         """Predict the noise of R latent rows (R, C, z) at step `index`."""
         inputs = {"latent": latents, "modulation": self.modulation[index], **self.constant}
-        return run_model(self.step, ["noise"], inputs, "the denoiser")[0]
+        return run_model(self.denoiser, ["noise"], inputs, "the denoiser")[0]
 
 
-def adaln_modulation(clock: onnxruntime.InferenceSession, timesteps: IntArray, frames: IntArray) -> FloatArray:
+def adaln_modulation(session: onnxruntime.InferenceSession, timesteps: IntArray, frames: IntArray) -> FloatArray:
     """Compute the scales and shifts of every adaptive LayerNorm (adaLN), for all steps at once.
 
     Args:
-        clock: session of the level's modulation graph.
+        session: of the level's modulation graph.
         timesteps: (K,).
         frames: (R,) length of each row's clip.
 
@@ -311,13 +310,13 @@ def adaln_modulation(clock: onnxruntime.InferenceSession, timesteps: IntArray, f
     """
     lengths, row = np.unique(frames, return_inverse=True)
     inputs = {"timestep": timesteps, "frames": lengths}
-    (modulation,) = run_model(clock, ["modulation"], inputs, "the adaLN modulation")
+    (modulation,) = run_model(session, ["modulation"], inputs, "the adaLN modulation")
     return modulation if len(lengths) == 1 else modulation[:, row]
 
 
 def bind_step_inputs(
     context: onnxruntime.InferenceSession,
-    step: onnxruntime.InferenceSession,
+    denoiser: onnxruntime.InferenceSession,
     contexts: Conditions,
     coarse: FloatArray | None,
     routing: AttentionRouting,
@@ -328,7 +327,7 @@ def bind_step_inputs(
 
     Args:
         context: session of context_{level}, or of context_{level}_agd.
-        step: session of step_{level}, or of step_{level}_agd.
+        denoiser: session of denoiser_{level}, or of denoiser_{level}_agd.
         contexts: K rows of conditions.
         coarse: (K, C', z') latents of the level above for each of them.
         routing: of contexts and latent rows.
@@ -340,10 +339,13 @@ def bind_step_inputs(
     if coarse is not None:
         inputs["coarse"] = coarse
         bias = np.concatenate([bias, np.repeat(contexts.coarse_bias, coarse.shape[1], axis=1)], axis=1)
+    # Context encoders of format 4 let their tokens attend to one another; older ones have no such input.
+    if any(tensor.name == "bias" for tensor in context.get_inputs()):
+        inputs["bias"] = bias
     names = [output.name for output in context.get_outputs()]
     # key_i, value_i (K, h, S, d/h) of every layer, or the projected context (K, S, d) for AGD
     attended = dict(zip(names, run_model(context, names, inputs, "the context encoder"), strict=True))
-    latent_tokens = step.get_inputs()[0].shape[1]
+    latent_tokens = denoiser.get_inputs()[0].shape[1]
     constant: dict[str, Any] = {
         **{name: value[routing.context] for name, value in attended.items()},
         "src": routing.src,
@@ -353,4 +355,4 @@ def bind_step_inputs(
     }
     if gamma is not None:
         constant["gamma"] = gamma
-    return NoisePredictor(step, constant, modulation)
+    return NoisePredictor(denoiser, constant, modulation)

@@ -6,7 +6,7 @@ One map for the energy of each concept, of their composition, and of one text th
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Final
 
@@ -26,7 +26,7 @@ from kinegraph.options import GenerateOptions, Guidance, Steps, resolve_options
 from kinegraph.pipeline import MotionPipeline
 
 GRID: Final = 21
-"""Points along each side of a map: GRID^2 runs of the finest step graph per map."""
+"""Points along each side of a map: GRID^2 runs of the finest denoiser per map."""
 SIGNAL: Final = 0.9
 """alpha_bar of the step that is shown, or the nearest to it: noise of a third of the latents' spread.
 
@@ -89,9 +89,14 @@ def energy_maps(
     conditions, plan, options = pipe.encode_composition(spec, options, own_length=seconds is None)
     all_concepts = (*spec.concepts, *spec.negated)
     joint = Concept(spec.joint)
+    # Each concept is mapped as the composition sees it: as a part of what happens, or as all of it.
+    partial = (*spec.partial[: len(spec.concepts)], *(True for _ in spec.negated), False)
     labels = [_label(concept) for concept in all_concepts]
     labels += [f"composed: {method}", f"one text: {joint.caption}"]
-    compositions = [_encode_alone(pipe, concept, options) for concept in (*all_concepts, joint)]
+    compositions = [
+        _encode_alone(pipe, concept, options, is_part)
+        for concept, is_part in zip((*all_concepts, joint), partial, strict=True)
+    ]
     compositions.insert(-1, (conditions, plan.weights))
     return map_compositions(pipe.sampler, labels, compositions, options, on_step)
 
@@ -101,10 +106,10 @@ def _label(concept: Concept) -> str:
 
 
 def _encode_alone(
-    pipe: MotionPipeline, concept: Concept, options: GenerateOptions
+    pipe: MotionPipeline, concept: Concept, options: GenerateOptions, is_part: bool
 ) -> tuple[Conditions, CompositionWeights]:
-    """Encode a concept as a composition of itself with weight 1."""
-    spec = validate_composition([concept.text], "latent", None, None, None)
+    """Encode a concept as a composition of itself with weight 1; `is_part` as in `CompositionSpec.partial`."""
+    spec = replace(validate_composition([concept.text], "latent", None, None, None), partial=(is_part,))
     conditions, plan, _ = pipe.encode_composition(spec, options, own_length=False)
     return conditions, plan.weights
 

@@ -130,7 +130,8 @@ class MotionPipeline:
         """Read a bundle, check every byte, and make its sessions.
 
         Args:
-            path: folder of a bundle; None is the one that comes with the package.
+            path: folder of a bundle, or the name of an installed one ("studio"); None is the default bundle. Only a
+                text can be a name, and it goes before a folder of that name here: write "./studio" for the folder.
             threads: of every session; None chooses (`bundle.sessions.open_sessions`).
             session_options: the host's own onnxruntime options, instead of `threads`.
 
@@ -138,7 +139,7 @@ class MotionPipeline:
             BundleError: missing, altered or unusable; see its subclasses.
             InvalidInputError: `threads` is out of range.
         """
-        bundle = read_bundle(None if path is None else Path(path))
+        bundle = read_bundle(path)
         files = dict(bundle.files)
         bundle = replace(bundle, files={})  # so that only `files` holds the bytes, and a session's go when it is made
         sessions = open_sessions(bundle, threads=threads, options=session_options, files=files)
@@ -382,7 +383,8 @@ class MotionPipeline:
         """Make a clip in which several motions happen at once, or do not (EnergyMoGen, Eq. 3, 4, 7-10).
 
         Args:
-            concepts: up to 8; a negative weight is what must not happen. It takes what both have in common, too:
+            concepts: up to 8, each a part of what happens (`conditioning.as_partial`), unless only one is positive. A
+                negative weight is what must not happen. It takes what both have in common, too:
                 -0.3 beside something alike ("walks", not "runs"), -1 against an action that the rest names.
             method: "latent" adds predictions (Eq. 7, 8), "semantic" averages attention (Eq. 9), "fused" blends both
                 with the joint text (Eq. 10) and takes away what is negated (Eq. 8).
@@ -468,7 +470,7 @@ class MotionPipeline:
         self, plan: SamplingPlan, options: GenerateOptions, *, own_length: bool
     ) -> tuple[list[GraphArrays], GenerateOptions]:
         """Encode the text of a plan; the sentences may tell the length."""
-        features = self.encoder.encode_text(plan.graphs)
+        features = self.encoder.encode_text(plan.graphs, plan.partial)
         if own_length:
             options = self.encoder.with_length(options, [features[index] for index in plan.length_from])
         return features, options

@@ -71,8 +71,8 @@ class SlotConditions(Conditions):
 class SlotEncoder(ConditionEncoder):
     """The text encoder and the graph attention of a bundle with released networks."""
 
-    def encode_text(self, graphs: Sequence[SemanticGraph]) -> list[GraphArrays]:
-        """Encode the captions of graphs and read their node features off the hidden states."""
+    def encode_text(self, graphs: Sequence[SemanticGraph], partial: Sequence[bool] = ()) -> list[GraphArrays]:
+        """Encode the captions of graphs; these networks cannot be told which of them are `partial`."""
         return [self._encode(graph) for graph in graphs]
 
     def attend(self, features: Sequence[GraphArrays]) -> SlotConditions:

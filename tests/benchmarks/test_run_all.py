@@ -15,8 +15,8 @@ import pytest
 from kinegraph_benchmarks import run_all
 
 NAMES = ["reconstruction", "behaviour", "lengths", "waves", "sequences", "take_equality", "negations", "wording",
-         "foot_fix", "evaluate", "masked_verbs", "edit_curves", "composition_settings", "sampling", "compare",
-         "latent_tokens"]  # fmt: skip
+         "everyday", "foot_fix", "evaluate", "masked_verbs", "edit_curves", "composition_settings", "composition",
+         "sampling", "compare", "latent_tokens"]  # fmt: skip
 BROKEN = NAMES.index("masked_verbs") + 1
 
 

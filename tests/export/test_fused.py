@@ -51,7 +51,7 @@ def counts(data: bytes) -> Counter[str]:
 def test_a_float_step_is_made_of_fused_operators_and_is_the_network(in_float: Exported) -> None:
     data, parity = in_float
     found = counts(data)
-    assert parity == {"step_motion": pytest.approx(0.0, abs=1e-5)}
+    assert parity == {"denoiser_motion": pytest.approx(0.0, abs=1e-5)}
     assert found["Attention"] == found["MultiHeadAttention"] == found["Gather"] == LAYERS
     assert found["LayerNormalization"] == 3 * LAYERS + 1
     assert found["Gelu"] == LAYERS
@@ -63,7 +63,7 @@ def test_a_float_step_is_made_of_fused_operators_and_is_the_network(in_float: Ex
 def test_an_int8_step_multiplies_in_int8_and_nothing_else_is_added(in_int8: Exported) -> None:
     data, parity = in_int8
     found = counts(data)
-    assert parity["step_motion"] <= 1e-5 and 0.0 < parity["int8_step_motion"] < 0.1
+    assert parity["denoiser_motion"] <= 1e-5 and 0.0 < parity["int8_denoiser_motion"] < 0.1
     assert found["QAttention"] == found["MultiHeadAttention"] == LAYERS
     assert found["DynamicQuantizeMatMul"] == 2 + 5 * LAYERS + LAYERS // 2
     assert found["MatMul"] == LAYERS  # `combine`, which has no weights
@@ -94,13 +94,13 @@ def test_parity_sees_a_wrong_weight(in_float: Exported) -> None:
     data, _ = in_float
     other = DenoiserGraph(NoisePredictor(CONFIG, LatentShape(TOKENS, 8))).eval()
     draw = random_inputs(CONTRACT, 4)
-    with pytest.raises(ParityError, match="step_motion"):
+    with pytest.raises(ParityError, match="denoiser_motion"):
         max_difference(data, other, CONTRACT, draw)
     with pytest.raises(ParityError, match="in int8 is off by"):
         relative_error(data, other, CONTRACT, draw)
 
 
-def test_the_clock_is_one_graph_of_all_steps() -> None:
+def test_the_modulation_is_one_graph_of_all_steps() -> None:
     contract = modulation("motion", LEVEL)
     data, _ = export_graph(ModulationGraph(AdaLNModulation(CONFIG)).eval(), contract, 4, "int8")
     assert "Loop" not in {node.op_type for node in onnx.load_model_from_string(data).graph.node}

@@ -246,4 +246,4 @@ def test_captions_longer_than_clip_reads(graphmotion: MotionPipeline) -> None:
 
 def test_the_bundle_verifies(graphmotion_bundle: Path) -> None:
     report = verify_bundle(graphmotion_bundle)
-    assert {"graph_encoder", *(f"step_{level}" for level in LEVELS)} <= set(report.sessions)
+    assert {"graph_encoder", *(f"denoiser_{level}" for level in LEVELS)} <= set(report.sessions)

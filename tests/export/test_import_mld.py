@@ -70,7 +70,7 @@ def test_one_step(mld: MotionPipeline) -> None:
     )
     for timestep in (0, 1, 101, 501, 951, 999):
         inputs = {"timestep": np.array([timestep])}
-        (time,) = run_model(sessions.clock["specific"], ["time"], inputs, "the time embedding")
+        (time,) = run_model(sessions.modulation["specific"], ["time"], inputs, "the time embedding")
         rows = len(condition)
         feeds = {
             "latent": expected["sample"],
@@ -78,7 +78,7 @@ def test_one_step(mld: MotionPipeline) -> None:
             "condition": condition,
             "mask": np.ones((rows, 1), dtype=np.float32),
         }
-        (noise,) = run_model(sessions.step["specific"], ["noise"], feeds, "the denoiser")
+        (noise,) = run_model(sessions.denoiser["specific"], ["noise"], feeds, "the denoiser")
         np.testing.assert_allclose(noise, expected[f"out_t{timestep}"], rtol=0, atol=TOLERANCE)
 
 

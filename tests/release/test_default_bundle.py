@@ -13,8 +13,8 @@ import pytest
 from numpy.typing import NDArray
 
 from kinegraph import Concept, MotionPipeline
-from kinegraph.bundle.contract import LEVELS
-from kinegraph.bundle.reader import DEFAULT_BUNDLE, read_bundle
+from kinegraph.bundle.contract import LEVELS, graph_file
+from kinegraph.bundle.reader import DEFAULT_BUNDLE, SHARED_FILES, read_bundle, text_files_folder
 from kinegraph.edits import with_weight, without
 from kinegraph.energy import energy_maps
 from kinegraph.motion.skeleton import bone_lengths
@@ -39,14 +39,17 @@ def test_it_is_small_and_int8() -> None:
     manifest = read_bundle(None).manifest
     assert manifest.precision == "int8"
     assert sum(entry.bytes for entry in manifest.files.values()) <= MOST_BYTES
-    assert {path.name for path in DEFAULT_BUNDLE.iterdir()} == {"manifest.json", *manifest.files}
+    here = {path.name for path in DEFAULT_BUNDLE.iterdir()}
+    shared = {path.name for path in text_files_folder().iterdir()} & SHARED_FILES
+    assert here | shared == {"manifest.json", *manifest.files}
 
 
 def test_its_steps_are_made_of_fused_operators() -> None:
     manifest = read_bundle(None).manifest
     required = {"QAttention", "MultiHeadAttention", "DynamicQuantizeMatMul"}
     for level in LEVELS:
-        operators = {operator.split("::")[1] for operator in manifest.operators[f"step_{level}.onnx"]}
+        file = graph_file(f"denoiser_{level}", manifest.format_version)
+        operators = {operator.split("::")[1] for operator in manifest.operators[file]}
         assert required <= operators and not operators & {"Softmax", "Transpose", "MatMulInteger"}
 
 

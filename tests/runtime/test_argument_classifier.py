@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import io
 from itertools import combinations, pairwise
-from pathlib import Path
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-import kinegraph
+from kinegraph.bundle.reader import text_files_folder
 from kinegraph.errors import BundleFormatError, InvalidInputError
 from kinegraph.graph import ARGUMENT_ROLES
 from kinegraph.limits import MAX_NODES
@@ -24,7 +23,7 @@ from kinegraph.text.argument_classifier import (
     weighted_interval_scheduling,
 )
 
-FILE = Path(kinegraph.__file__).parent / "bundles" / "default" / "parser.bin"
+FILE = text_files_folder() / "parser.bin"
 
 
 def weights_for(**roles: str) -> bytes:

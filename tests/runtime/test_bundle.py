@@ -15,13 +15,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from kinegraph.bundle.manifest import OPTIONAL_GRAPH_FILES, FileSpec
+from kinegraph.bundle.manifest import FileSpec, optional_graph_files
 from kinegraph.bundle.reader import MAX_FILE_BYTES, read_bundle
 from kinegraph.bundle.verify import verify_bundle
 from kinegraph.errors import BundleError, BundleFormatError, BundleIntegrityError
 from support.synthetic_bundle import bundle_files, manifest_for, tables_npz, write_bundle
 
 FILES = sorted(bundle_files())
+OPTIONAL_GRAPH_FILES = optional_graph_files()
 posix = pytest.mark.skipif(os.name != "posix", reason="needs POSIX file types")
 
 
@@ -116,14 +117,14 @@ def test_cut_grown_emptied_or_missing_files_are_noticed(bundle: Path, name: str)
 
 @pytest.mark.usefixtures("no_sessions")
 def test_two_swapped_files_are_noticed(bundle: Path) -> None:
-    shutil.move(bundle / "step_action.onnx", bundle / "aside")
-    shutil.move(bundle / "step_motion.onnx", bundle / "step_action.onnx")
-    shutil.move(bundle / "aside", bundle / "step_motion.onnx")
-    with pytest.raises(BundleIntegrityError, match=r"step_(motion|action)\.onnx"):
+    shutil.move(bundle / "denoiser_action.onnx", bundle / "aside")
+    shutil.move(bundle / "denoiser_motion.onnx", bundle / "denoiser_action.onnx")
+    shutil.move(bundle / "aside", bundle / "denoiser_motion.onnx")
+    with pytest.raises(BundleIntegrityError, match=r"denoiser_(motion|action)\.onnx"):
         verify_bundle(bundle)
 
 
-@pytest.mark.parametrize("name", ["notes.txt", ".DS_Store", "weights.bin", "DECODER.ONNX", "step_action_new.onnx"])
+@pytest.mark.parametrize("name", ["notes.txt", ".DS_Store", "weights.bin", "DECODER.ONNX", "denoiser_action_new.onnx"])
 def test_an_extra_file_is_noticed(bundle: Path, name: str) -> None:
     (bundle / name).write_bytes(b"x")
     with pytest.raises(BundleIntegrityError, match=name):

@@ -126,8 +126,8 @@ def test_verify_refuses_a_listed_operator_that_is_not_there(tmp_path: Path) -> N
 
 
 def test_verify_refuses_a_graph_that_breaks_the_contract(tmp_path: Path) -> None:
-    swapped = {**bundle_files(), "step_motion.onnx": bundle_files()["step_action.onnx"]}
-    with pytest.raises(BundleFormatError, match=r"step_motion\.onnx: input 'latent'"):
+    swapped = {**bundle_files(), "denoiser_motion.onnx": bundle_files()["denoiser_action.onnx"]}
+    with pytest.raises(BundleFormatError, match=r"denoiser_motion\.onnx: input 'latent'"):
         verify_bundle(write_bundle(tmp_path / "swapped", swapped))
 
 

@@ -92,7 +92,7 @@ def test_no_step_size_is_without_adaptive_gradient_descent(toy: MotionPipeline) 
 
 
 def test_a_bundle_without_its_graphs_says_so(toy: MotionPipeline, monkeypatch: pytest.MonkeyPatch) -> None:
-    toy = toy.with_sessions(dataclasses.replace(toy.sampler.sessions, context_agd={}, step_agd={}))
+    toy = toy.with_sessions(dataclasses.replace(toy.sampler.sessions, context_agd={}, denoiser_agd={}))
     monkeypatch.setattr(ConditionEncoder, "encode_text", None)
     with pytest.raises(InvalidInputError, match=r"no graphs for adaptive gradient descent: leave agd out"):
         toy.compose([WALK, WAVE], agd=(4e-4, 4e-4), **FEW)
@@ -127,8 +127,8 @@ class Counted:
 
 def test_one_run_per_step(toy: MotionPipeline, monkeypatch: pytest.MonkeyPatch) -> None:
     runs: list[Any] = []
-    counted = {level: Counted(session, runs) for level, session in toy.sampler.sessions.step.items()}
-    toy = toy.with_sessions(dataclasses.replace(toy.sampler.sessions, step=counted))
+    counted = {level: Counted(session, runs) for level, session in toy.sampler.sessions.denoiser.items()}
+    toy = toy.with_sessions(dataclasses.replace(toy.sampler.sessions, denoiser=counted))
     seen: list[StepInfo] = []
     concepts = [WALK, WAVE, Concept("a person runs", -0.5)]
     toy.compose(concepts, on_step=lambda info: bool(seen.append(info)) or True, **FEW)

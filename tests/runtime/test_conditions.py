@@ -7,13 +7,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from kinegraph.bundle.contract import NODE_KINDS, NULL_KIND, PADDING_BIAS
+from kinegraph.bundle.contract import NODE_KINDS, NULL_KIND, PADDING_BIAS, PARTIAL_KIND
 from kinegraph.conditioning import (
     ACTION,
     MOTION,
     NO_EDGE,
     SPECIFIC,
+    WORD,
     GraphArrays,
+    as_partial,
     drop_all,
     drop_text,
     for_level,
@@ -22,6 +24,8 @@ from kinegraph.conditioning import (
     node_features,
     pad_graphs,
     stack_rows,
+    with_words,
+    word_nodes,
 )
 from kinegraph.graph import ROLE_INDEX, Action, Argument, SemanticGraph
 from kinegraph.text.tokenizer import TokenIds
@@ -55,6 +59,60 @@ def test_nodes_are_the_sentence_and_means_over_their_pieces() -> None:
     np.testing.assert_array_equal(nodes[2], HIDDEN[5])
     np.testing.assert_allclose(nodes[3], (HIDDEN[2] + HIDDEN[3]) / 2, rtol=1e-6)
     assert nodes.dtype == np.float32
+
+
+def test_a_word_hangs_on_the_node_of_the_shortest_span_that_holds_it() -> None:
+    # "and" belongs to no node: it hangs on the sentence. [CLS] and [SEP] are no words.
+    np.testing.assert_array_equal(word_nodes(GRAPH, TOKENS), [-1, 1, 3, 3, 0, 2, -1])
+    # An argument that holds a verb of its own ("starts walking slowly"): the verb's pieces are the verb's.
+    inner = (Action("walks", 0, 5, 0, 1.0, (Argument("ARG1", "and waves", 13, 22),)), Action("waves", 17, 22, 1))
+    np.testing.assert_array_equal(word_nodes(SemanticGraph(CAPTION, inner), TOKENS), [-1, 1, 0, 0, 3, 2, -1])
+
+
+def with_its_words(graph: SemanticGraph = GRAPH) -> GraphArrays:
+    return with_words(arrays(graph), HIDDEN, word_nodes(graph, TOKENS))
+
+
+def test_words_have_order_and_weight_of_their_node_and_no_neighbours() -> None:
+    graph = with_its_words()
+    np.testing.assert_array_equal(graph.kind, [MOTION, ACTION, ACTION, SPECIFIC, *[WORD] * 5])
+    np.testing.assert_array_equal(graph.owner, [0, 1, 2, 3, 1, 3, 3, 0, 2])
+    np.testing.assert_array_equal(graph.nodes[4:], HIDDEN[1:6])
+    np.testing.assert_array_equal(graph.nodes[:4], arrays().nodes)
+    np.testing.assert_array_equal(graph.order, graph.order[graph.owner])
+    np.testing.assert_array_equal(graph.path_weight, arrays().path_weight[graph.owner])
+    assert graph.order[5] == 1 and graph.path_weight[4] == 0.5
+    np.testing.assert_array_equal(graph.relation[:4, :4], arrays().relation)
+    assert ((graph.relation >= 0).sum(axis=0)[4:] == 1).all()
+
+
+def test_a_word_of_a_node_without_weight_is_seen_nowhere() -> None:
+    silent = replace(GRAPH.actions[0], arguments=(replace(GRAPH.actions[0].arguments[0], weight=0.0),))
+    batch = [with_its_words(SemanticGraph(CAPTION, (silent, GRAPH.actions[1])))]
+    seen = for_level(make_conditions(batch, encoded(batch)), NODE_KINDS)
+    hidden = seen.bias[0] <= PADDING_BIAS
+    np.testing.assert_array_equal(hidden, batch[0].owner == 3)
+
+
+def test_a_level_without_words_sees_what_it_saw_before() -> None:
+    without, both = [arrays()], [with_its_words()]
+    first, second = (for_level(make_conditions(batch, encoded(batch)), NODE_KINDS[:3]) for batch in (without, both))
+    for name, part in vars(first).items():
+        np.testing.assert_array_equal(part, getattr(second, name))
+
+
+def test_a_caption_of_a_part_hides_its_sentence_alone() -> None:
+    whole = with_its_words()
+    part = as_partial(whole)
+    assert part.kind[0] == PARTIAL_KIND and (part.kind[1:] == whole.kind[1:]).all()
+    # The sentence reaches no node, and no node reaches it; all other edges are as they were.
+    assert (part.edge_weight[0, 1:] == 0).all() and (part.edge_weight[1:, 0] == 0).all()
+    np.testing.assert_array_equal(part.edge_weight[1:, 1:], whole.edge_weight[1:, 1:])
+    np.testing.assert_array_equal(part.path_weight, whole.path_weight)
+    assert whole.kind[0] == MOTION and whole.edge_weight[0, 1] == 0.5  # unchanged
+    # Every level sees the token, also one that sees no sentence.
+    seen = for_level(make_conditions([part], encoded([part])), ("action",))
+    np.testing.assert_array_equal(seen.kind[0][seen.bias[0] > PADDING_BIAS], [PARTIAL_KIND, ACTION, ACTION])
 
 
 def test_edges_run_both_ways_and_carry_their_type() -> None:
@@ -103,7 +161,9 @@ def test_padding_carries_no_edge_no_node_and_no_weight() -> None:
     np.testing.assert_allclose(batch.bias[0], np.log([1.0, 0.5, 1.0, 1.0]), rtol=1e-6)
 
 
-@pytest.mark.parametrize(("kinds", "left"), [(("motion",), 1), (("motion", "action"), 3), (NODE_KINDS, 4)])
+@pytest.mark.parametrize(
+    ("kinds", "left"), [(("motion",), 1), (("motion", "action"), 3), (NODE_KINDS[:3], 4), (NODE_KINDS, 4)]
+)
 def test_a_level_sees_the_nodes_of_its_kinds(kinds: tuple[str, ...], left: int) -> None:
     seen = for_level(make_conditions([arrays()], encoded([arrays()])), kinds)
     assert seen.nodes.shape == (1, left, 5)

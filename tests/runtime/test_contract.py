@@ -36,33 +36,33 @@ TABLE = {
         "nodes_out f B,N,384",
     ),
     "context_motion": (
-        "nodes f B,N,384 | kind i B,N | order i B,N",
+        "nodes f B,N,384 | kind i B,N | order i B,N | bias f B,N",
         "key_0 f B,4,S,48 | value_0 f B,4,S,48 | key_1 f B,4,S,48 | value_1 f B,4,S,48"
         " | key_2 f B,4,S,48 | value_2 f B,4,S,48",
     ),
-    "clock_motion": ("timestep i K | frames i B", "modulation f K,B,18,192"),
-    "step_motion": (
+    "modulation_motion": ("timestep i K | frames i B", "modulation f K,B,18,192"),
+    "denoiser_motion": (
         "latent f R,2,16 | modulation f M,18,192 | key_0 f A,4,S,48 | value_0 f A,4,S,48 | key_1 f A,4,S,48"
         " | value_1 f A,4,S,48 | key_2 f A,4,S,48 | value_2 f A,4,S,48 | src i A | combine f R,A"
         " | bias f A,1,2,S",
         "noise f R,2,16",
     ),
     "context_action": (
-        "nodes f B,N,384 | kind i B,N | order i B,N | coarse f B,2,16",
+        "nodes f B,N,384 | kind i B,N | order i B,N | bias f B,S | coarse f B,2,16",
         "key_0 f B,4,S,48 | value_0 f B,4,S,48 | key_1 f B,4,S,48 | value_1 f B,4,S,48",
     ),
-    "clock_action": ("timestep i K | frames i B", "modulation f K,B,12,192"),
-    "step_action": (
+    "modulation_action": ("timestep i K | frames i B", "modulation f K,B,12,192"),
+    "denoiser_action": (
         "latent f R,4,16 | modulation f M,12,192 | key_0 f A,4,S,48 | value_0 f A,4,S,48 | key_1 f A,4,S,48"
         " | value_1 f A,4,S,48 | src i A | combine f R,A | bias f A,1,4,S",
         "noise f R,4,16",
     ),
     "context_specific": (
-        "nodes f B,N,384 | kind i B,N | order i B,N | coarse f B,4,16",
+        "nodes f B,N,384 | kind i B,N | order i B,N | bias f B,S | coarse f B,4,16",
         "key_0 f B,6,S,32 | value_0 f B,6,S,32",
     ),
-    "clock_specific": ("timestep i K | frames i B", "modulation f K,B,6,192"),
-    "step_specific": (
+    "modulation_specific": ("timestep i K | frames i B", "modulation f K,B,6,192"),
+    "denoiser_specific": (
         "latent f R,8,16 | modulation f M,6,192 | key_0 f A,6,S,32 | value_0 f A,6,S,32 | src i A | combine f R,A"
         " | bias f A,1,8,S",
         "noise f R,8,16",
@@ -70,26 +70,26 @@ TABLE = {
     "decoder": ("latent f B,8,16 | frame_mask f B,L", "features f B,L,137"),
     "decoder_motion": ("latent f B,2,16 | frame_mask f B,L", "features f B,L,137"),
     "decoder_action": ("latent f B,4,16 | frame_mask f B,L", "features f B,L,137"),
-    "context_motion_agd": ("nodes f B,N,384 | kind i B,N | order i B,N", "context f B,S,192"),
-    "step_motion_agd": (
+    "context_motion_agd": ("nodes f B,N,384 | kind i B,N | order i B,N | bias f B,N", "context f B,S,192"),
+    "denoiser_motion_agd": (
         "latent f R,2,16 | modulation f M,18,192 | context f A,S,192 | gamma f A,2 | src i A | combine f R,A"
         " | bias f A,1,2,S",
         "noise f R,2,16",
     ),
     "context_action_agd": (
-        "nodes f B,N,384 | kind i B,N | order i B,N | coarse f B,2,16",
+        "nodes f B,N,384 | kind i B,N | order i B,N | bias f B,S | coarse f B,2,16",
         "context f B,S,192",
     ),
-    "step_action_agd": (
+    "denoiser_action_agd": (
         "latent f R,4,16 | modulation f M,12,192 | context f A,S,192 | gamma f A,2 | src i A | combine f R,A"
         " | bias f A,1,4,S",
         "noise f R,4,16",
     ),
     "context_specific_agd": (
-        "nodes f B,N,384 | kind i B,N | order i B,N | coarse f B,4,16",
+        "nodes f B,N,384 | kind i B,N | order i B,N | bias f B,S | coarse f B,4,16",
         "context f B,S,192",
     ),
-    "step_specific_agd": (
+    "denoiser_specific_agd": (
         "latent f R,8,16 | modulation f M,6,192 | context f A,S,192 | gamma f A,2 | src i A | combine f R,A"
         " | bias f A,1,8,S",
         "noise f R,8,16",
@@ -136,7 +136,7 @@ def node_args(specs: tuple[TensorSpec, ...]) -> list[FakeNodeArg]:
     return [FakeNodeArg(spec.name, list(spec.axes), types[spec.dtype]) for spec in specs]
 
 
-STEP = contracts(EDGE, 384, 137)["step_action"]
+STEP = contracts(EDGE, 384, 137)["denoiser_action"]
 
 
 def test_order_of_tensors_and_names_of_free_axes_do_not_matter() -> None:
@@ -173,7 +173,7 @@ def test_any_difference_of_an_input_is_named(index: int, change: str) -> None:
     with pytest.raises(BundleFormatError) as caught:
         check_signature(inputs, node_args(STEP.outputs), STEP)
     message = str(caught.value)
-    assert "step_action.onnx" in message
+    assert "denoiser_action.onnx" in message
     assert repr(spec.name) in message
     if change not in ("missing", "type"):
         assert str(list(spec.axes)) in message
@@ -182,7 +182,7 @@ def test_any_difference_of_an_input_is_named(index: int, change: str) -> None:
 
 def test_extra_tensors_are_named() -> None:
     extra = [*node_args(STEP.inputs), FakeNodeArg("gamma", ["A", 2], "tensor(float)")]
-    with pytest.raises(BundleFormatError, match=r"step_action\.onnx has an unknown input 'gamma'"):
+    with pytest.raises(BundleFormatError, match=r"denoiser_action\.onnx has an unknown input 'gamma'"):
         check_signature(extra, node_args(STEP.outputs), STEP)
 
 
@@ -200,6 +200,17 @@ def test_a_real_session_with_a_frozen_axis_is_refused() -> None:
     expected = r"decoder\.onnx: input 'frame_mask' should have .*\['B', 'L'\], found \['B', 24\]"
     with pytest.raises(BundleFormatError, match=expected):
         open_session(filler_model(wrong), contract, session_options(1))
+
+
+def test_older_bundles_have_older_names_and_no_bias_among_context_tokens() -> None:
+    now, before = (contracts(EDGE, 384, 137, version) for version in (4, 3))
+    assert tuple(now) == tuple(before)
+    files = {contract.file for contract in before.values()}
+    assert {"clock_motion.onnx", "step_specific.onnx", "step_action_agd.onnx", "decoder_motion.onnx"} <= files
+    assert not any(file.startswith(("modulation", "denoiser")) for file in files)
+    for name in TABLE:
+        expected = [spec for spec in now[name].inputs if not (name.startswith("context") and spec.name == "bias")]
+        assert list(before[name].inputs) == expected and before[name].outputs == now[name].outputs
 
 
 def test_levels_run_from_coarse_to_fine() -> None:

@@ -16,7 +16,12 @@ from kinegraph.bundle.contract import LEVELS
 from kinegraph.bundle.sessions import Sessions
 
 STEPS = {"motion": 2, "action": 3, "specific": 4}
-ONCE = {"text_encoder", "graph_encoder", "decoder", *(f"{part}_{x}" for part in ("context", "clock") for x in LEVELS)}
+ONCE = {
+    "text_encoder",
+    "graph_encoder",
+    "decoder",
+    *(f"{part}_{x}" for part in ("context", "modulation") for x in LEVELS),
+}
 
 
 class Counted:
@@ -36,7 +41,7 @@ class Counted:
 def counted(sessions: Sessions, runs: Counter[str]) -> Sessions:
     single = ("text_encoder", "graph_encoder", "decoder")
     changes: dict[str, Any] = {name: Counted(getattr(sessions, name), name, runs) for name in single}
-    for part in ("context", "clock", "step"):
+    for part in ("context", "modulation", "denoiser"):
         watched = {
             level: Counted(session, f"{part}_{level}", runs) for level, session in getattr(sessions, part).items()
         }
@@ -60,7 +65,7 @@ def test_a_call_runs_every_model_once_and_every_step_once(
     runs: Counter[str] = Counter()
     make(toy.with_sessions(counted(toy.sampler.sessions, runs)))
     once = dict.fromkeys(ONCE, 1) | {"text_encoder": captions}
-    assert runs == {**once, **{f"step_{level}": count for level, count in STEPS.items()}}
+    assert runs == {**once, **{f"denoiser_{level}": count for level, count in STEPS.items()}}
 
 
 @pytest.mark.parametrize(("seconds", "modulations"), [((1.0, 1.0), 1), ((1.0, 2.0), 4)])
@@ -74,12 +79,12 @@ def test_rows_of_one_length_share_their_modulation(
             seen.add((len(feeds["latent"]), len(feeds["modulation"])))
             return super().run(names, feeds)
 
-    steps = {level: Watched(session, level, Counter()) for level, session in toy.sampler.sessions.step.items()}
-    sessions = replace(toy.sampler.sessions, step=MappingProxyType(steps))
+    steps = {level: Watched(session, level, Counter()) for level, session in toy.sampler.sessions.denoiser.items()}
+    sessions = replace(toy.sampler.sessions, denoiser=MappingProxyType(steps))
     toy.with_sessions(sessions).batch([GRAPH, GRAPH], seconds=seconds, seed=1, steps=STEPS, shared_run=True)
     assert seen == {(4, modulations)}
 
 
 def test_a_session_does_not_keep_its_file(toy: MotionPipeline) -> None:
-    every = [toy.sampler.sessions.text_encoder, toy.sampler.sessions.decoder, *toy.sampler.sessions.step.values()]
+    every = [toy.sampler.sessions.text_encoder, toy.sampler.sessions.decoder, *toy.sampler.sessions.denoiser.values()]
     assert all(session._model_bytes is None for session in every)

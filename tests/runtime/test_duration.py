@@ -9,7 +9,7 @@ import pytest
 
 from kinegraph.bundle.reader import read_bundle
 from kinegraph.bundle.tables import EXTRA_INPUTS
-from kinegraph.conditioning import ACTION, MOTION, SPECIFIC, GraphArrays, duration_inputs, expected_frames
+from kinegraph.conditioning import ACTION, MOTION, SPECIFIC, GraphArrays, duration_inputs, expected_frames, with_words
 from kinegraph.errors import BundleFormatError
 from support.synthetic_bundle import TEXT_WIDTH, bundle_files, tables_npz, write_bundle
 
@@ -22,11 +22,21 @@ def graph(sentence: list[float], actions: int = 1, specifics: int = 0) -> GraphA
     nodes[0] = sentence
     kind = np.array([MOTION] + [ACTION] * actions + [SPECIFIC] * specifics)
     zeros = np.zeros((count, count))
-    return GraphArrays(nodes, zeros.astype(np.int64), zeros.astype(np.float32), kind, kind, np.ones(count))
+    return GraphArrays(
+        nodes, zeros.astype(np.int64), zeros.astype(np.float32), kind, kind, np.ones(count), np.arange(count)
+    )
 
 
 def test_inputs_are_the_sentence_and_two_counts() -> None:
     np.testing.assert_array_equal(duration_inputs(graph([1, 2, 3], 2, 4)), [1, 2, 3, 2, 7, 1])
+
+
+def test_words_are_no_nodes_of_the_graph() -> None:
+    plain = graph([1, 2, 3], 2, 1)
+    hidden = np.zeros((6, WIDTH), dtype=np.float32)
+    with_them = with_words(plain, hidden, np.array([-1, 1, 3, 0, 2, -1]))
+    assert len(with_them.kind) == 8 and with_them.node_count == 4
+    np.testing.assert_array_equal(duration_inputs(with_them), duration_inputs(plain))
 
 
 def test_frames_are_the_exponential_of_a_linear_form() -> None:

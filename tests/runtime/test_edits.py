@@ -7,6 +7,7 @@ import math
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,11 +15,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from kinegraph import Concept, InvalidGraphError, MotionPipeline, cli
-from kinegraph.concepts import UPWEIGHT_GAIN, weighted_edge_terms
+from kinegraph.concepts import UPWEIGHT_GAIN, validate_composition, weighted_edge_terms
 from kinegraph.edits import MASK, masked, remove_words, replaced, with_action, with_argument, with_weight, without
 from kinegraph.formats.graph_svg import graph_svg
 from kinegraph.graph import MAX_WEIGHT, Action, Argument, SemanticGraph
 from kinegraph.limits import MAX_NODES
+from kinegraph.options import resolve_options
 from support.cli_runs import fails
 
 CAPTION = "a person walks slowly to the left and then waves slowly"
@@ -285,10 +287,15 @@ def test_a_weight_between_is_the_latent_aware_composition_of_with_and_without(
     toy: MotionPipeline, weight: float, coefficient: float
 ) -> None:
     graph = toy.parse("a person walks slowly to the left")
-    few = {"steps": (3, 3, 4), "seconds": 2, "seed": 3}
+    few: dict[str, Any] = {"steps": (3, 3, 4), "seconds": 2, "seed": 3}
     edited = with_weight(graph, "to the left", weight)
     both = [Concept(graph, coefficient), Concept(without(graph, "to the left"), 1 - coefficient)]
-    expected = toy.compose(both, method="latent", **few).joints
+    # Both are all that happens, where concepts of a composition would be parts of it.
+    spec = dataclasses.replace(validate_composition(both, "latent", None, None, None), partial=(False, False))
+    options = resolve_options(toy.manifest, **few)
+    conditions, plan, _ = toy.encode_composition(spec, options, own_length=False)
+    latents = toy.sampler.sample(conditions, plan.weights, [options])
+    expected = toy.decoder.decode(latents, [options], [graph.caption])[0].joints
     np.testing.assert_allclose(toy.generate(edited, **few).joints, expected, atol=1e-4)
     for how in ({"method": "latent"}, {"method": "fused", "lambdas": (0.0, 0.0, 1.0)}):
         np.testing.assert_allclose(toy.compose([edited], **how, **few).joints, expected, atol=1e-4)

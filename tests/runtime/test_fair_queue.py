@@ -104,6 +104,26 @@ def test_whoever_leaves_holds_up_nobody(leaves: str) -> None:
     run(body)
 
 
+@pytest.mark.parametrize("stays", ["a1", "a2", "b1", "b2", "none"])
+def test_who_leave_at_the_same_moment_hold_up_nobody(stays: str) -> None:
+    """The turn must not go to a request that is cancelled and has not run since."""
+
+    async def body() -> None:
+        log = Log(FairQueue())
+        names = ["a1", "a2", "b1", "b2"]
+        tasks = await started(log, *names)
+        for name, task in zip(names, tasks, strict=True):
+            if name != stays:
+                task.cancel()
+        results = await asyncio.gather(*tasks, return_exceptions=True)
+        left = [isinstance(result, asyncio.CancelledError) for result in results]
+        assert left == [name != stays for name in names]
+        assert len(log.queue) == log.queue.ahead("c") == 0
+        await log.request("c1")
+
+    run(body)
+
+
 def test_a_turn_that_came_to_one_who_just_left_passes_on() -> None:
     async def body() -> None:
         queue = FairQueue()

@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-import kinegraph
+from kinegraph.bundle.reader import text_files_folder
 from kinegraph.edits import with_weight, without
 from kinegraph.errors import InvalidGraphError
 from kinegraph.graph import ARGUMENT_ROLES, Action, Argument, SemanticGraph
@@ -31,7 +31,7 @@ pytest.importorskip("spacy")
 
 from kinegraph.text.parser import GraphParser, read_parser
 
-BUNDLE = Path(kinegraph.__file__).parent / "bundles" / "default"
+BUNDLE = text_files_folder()
 SENTENCES = Path(__file__).parents[2] / "benchmarks" / "parser"
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 import dataclasses
 import json
+from dataclasses import replace
 from typing import Any
 
 import pytest
@@ -12,7 +13,7 @@ import pytest
 from kinegraph.bundle.manifest import Manifest, decode_manifest, encode_manifest
 from kinegraph.errors import BundleFormatError
 from support.manifests import ALL_PATHS, GOOD, changed, dotted, value_at
-from support.synthetic_bundle import bundle_files, manifest_for, sealed
+from support.synthetic_bundle import LEVEL_SPECS, bundle_files, manifest_for, sealed
 
 FREE_MAPS = {("provenance",), ("scope",), ("parity",), ("training",), ("quality",)}
 OPTIONAL = [("files", name) for name in ("parser.bin", "decoder_motion.onnx", "decoder_action.onnx")]
@@ -97,8 +98,21 @@ def test_the_graphs_of_adaptive_gradient_descent_are_optional_all_together() -> 
     assert not any(name.endswith("_agd") for name in decode_manifest(sealed(value)).contracts)
 
 
-def test_a_bundle_of_the_format_before_is_read() -> None:
-    assert decode_manifest(sealed({**GOOD, "format_version": 2})).format_version == 2
+@pytest.mark.parametrize("version", [2, 3])
+def test_a_bundle_of_a_format_before_is_read(version: int) -> None:
+    manifest = manifest_for(bundle_files(version), version)
+    assert decode_manifest(encode_manifest(manifest)) == manifest
+    assert not manifest.attends_to_words and not manifest.knows_partial_captions
+
+
+def test_file_names_and_words_belong_to_a_format() -> None:
+    with pytest.raises(BundleFormatError, match=r"no file of a bundle of format 3"):
+        decode_manifest(sealed({**GOOD, "format_version": 3}))
+    words = {name: replace(level, nodes=(*level.nodes, "word")) for name, level in LEVEL_SPECS.items()}
+    manifest = replace(manifest_for(bundle_files()), levels=words)
+    assert manifest.attends_to_words and manifest.knows_partial_captions
+    with pytest.raises(BundleFormatError, match=r"levels\.motion\.nodes must be some of"):
+        replace(manifest_for(bundle_files(3), 3), levels=words)
 
 
 def test_the_parser_is_optional() -> None:
@@ -145,7 +159,7 @@ def test_a_wrong_type_is_named(path: tuple[Any, ...]) -> None:
 
 BREAKS: list[tuple[tuple[Any, ...], object]] = [
     (("format_version",), 1),
-    (("format_version",), 4),
+    (("format_version",), 5),
     (("format_version",), 0),
     (("skeleton", "joint_names"), GOOD["skeleton"]["joint_names"][:-1]),
     (("skeleton", "parents", 3), 1),
@@ -220,5 +234,5 @@ def test_a_name_with_nul_is_refused() -> None:
 
 
 def test_a_newer_format_says_so_before_its_new_keys_do() -> None:
-    with pytest.raises(BundleFormatError, match="format_version is 4"):
-        decode_manifest(sealed({**GOOD, "format_version": 4, "new_key": 1}))
+    with pytest.raises(BundleFormatError, match="format_version is 5"):
+        decode_manifest(sealed({**GOOD, "format_version": 5, "new_key": 1}))

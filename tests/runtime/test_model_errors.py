@@ -15,8 +15,8 @@ from kinegraph.bench import GRAPH
 from kinegraph.bundle.sessions import ORT_ERRORS, Sessions
 
 FEW: dict[str, Any] = {"seconds": 1, "seed": 1, "steps": 2}
-PARTS = ("text_encoder", "graph_encoder", "context", "clock", "step", "decoder")
-AGD_PARTS = ("context_agd", "step_agd")
+PARTS = ("text_encoder", "graph_encoder", "context", "modulation", "denoiser", "decoder")
+AGD_PARTS = ("context_agd", "denoiser_agd")
 
 
 class Altered:
@@ -40,7 +40,7 @@ def with_run(pipe: MotionPipeline, part: str, run: Callable[[Any, list[str], dic
     if part.endswith("_agd"):
         opened = inner["action"]()
         changed: Any = MappingProxyType({**inner, "action": lambda: Altered(opened, run)})
-    elif part in ("context", "clock", "step"):
+    elif part in ("context", "modulation", "denoiser"):
         changed = MappingProxyType({**inner, "action": Altered(inner["action"], run)})
     else:
         changed = Altered(inner, run)

@@ -99,7 +99,7 @@ def test_any_bytes_are_a_model_or_a_typed_error(data: bytes) -> None:
 
 
 def test_cut_and_flipped_models_are_a_model_or_a_typed_error() -> None:
-    good = filler_model(CONTRACTS["step_action"])
+    good = filler_model(CONTRACTS["denoiser_action"])
     generator = random.Random(3)
     outcomes = set()
     for _ in range(500):

@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-import kinegraph
+from kinegraph.bundle.reader import text_files_folder
 from kinegraph.errors import InvalidInputError
 from kinegraph.graph import SemanticGraph
 from kinegraph.limits import MAX_NODES, MAX_TEXT
@@ -22,7 +22,7 @@ pytest.importorskip("spacy")
 from kinegraph.errors import BundleFormatError
 from kinegraph.text.parser import GraphParser
 
-FILE = Path(kinegraph.__file__).parent / "bundles" / "default" / "parser.bin"
+FILE = text_files_folder() / "parser.bin"
 
 
 @pytest.fixture(scope="module")

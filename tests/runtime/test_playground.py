@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+import asyncio
+import json
 import os
 import signal
+import socket
 import subprocess
 import sys
 import threading
 import time
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -18,13 +23,16 @@ import kinegraph
 from kinegraph import MotionPipeline, cli
 from kinegraph.errors import Cancelled
 from support.cli_runs import fails
-from support.playground import REQUEST, TEXT, PlaygroundClient
+from support.playground import REQUEST, TEXT, PlaygroundClient, running_playground
 
 pytest.importorskip("spacy")
 pytest.importorskip("starlette")
 pytest.importorskip("uvicorn")
 
+from kinegraph.playground import jobs
+from kinegraph.playground.app import Playground, application
 from kinegraph.playground.fair_queue import MAX_PER_TAB
+from kinegraph.playground.guards import UNEXPECTED, ServerLimits
 
 RUNTIME = Path(kinegraph.__file__).resolve().parents[1]
 LONG = {**REQUEST, "seconds": 9.8, "steps": 900}
@@ -146,6 +154,117 @@ def test_a_reader_who_leaves_stops_the_clip(
     with server.events(LONG, tab="first"), server.events(LONG, tab="second"):
         time.sleep(0.1)
     assert server.clip(REQUEST, tab="third")[-1]["event"] == "clip"
+
+
+def test_who_leaves_a_file_stops_its_clip(
+    server: PlaygroundClient, pipe: MotionPipeline, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    started, stopped = threading.Event(), threading.Event()
+    generate = pipe.generate
+
+    def watched(*arguments: Any, **options: Any) -> Any:
+        started.set()
+        try:
+            return generate(*arguments, **options)
+        except Cancelled:
+            stopped.set()
+            raise
+
+    monkeypatch.setattr(pipe, "generate", watched)
+    body = json.dumps({"wish": LONG, "suffix": ".npz"}).encode()
+    head = f"POST /api/file HTTP/1.1\r\nHost: 127.0.0.1:{server.port}\r\nContent-Type: application/json\r\n"
+    request = f"{head}Content-Length: {len(body)}\r\n\r\n".encode() + body
+    with socket.create_connection(("127.0.0.1", server.port)) as working:
+        working.sendall(request)
+        assert started.wait(10)
+        with socket.create_connection(("127.0.0.1", server.port)) as waiting:
+            waiting.sendall(request)
+            time.sleep(0.1)
+        started.clear()
+        assert not stopped.is_set()
+    assert stopped.wait(5)
+    assert server.clip(REQUEST, tab="other")[-1]["event"] == "clip"
+    assert caplog.records == []
+
+
+@pytest.mark.parametrize(
+    ("error", "said"), [(RuntimeError("made to fail"), "made to fail"), (ZeroDivisionError("ours"), UNEXPECTED)]
+)
+def test_a_clip_that_fails_is_told_in_the_stream_and_for_a_file(
+    toy: MotionPipeline, monkeypatch: pytest.MonkeyPatch, error: Exception, said: str
+) -> None:
+    """A session's error has a type and a message; one that nobody foresaw is logged, and the client is told so."""
+
+    def fail(*_: Any) -> Any:
+        raise error
+
+    class Failing:
+        run = staticmethod(fail)
+
+    pipeline = toy.with_sessions(replace(toy.sampler.sessions, decoder=Failing()))
+    if said == UNEXPECTED:
+        monkeypatch.setattr(pipeline, "generate", fail)
+    with running_playground(pipeline) as server:
+        *others, last = server.clip(REQUEST)
+        assert last["event"] == "error" and said in last["message"] and "clip" not in [each["event"] for each in others]
+        response = server.post("/api/file", {"wish": REQUEST, "suffix": ".npz"})
+        assert response.status == 500 and said in response.json["error"]
+
+
+def test_a_reader_who_does_not_read_holds_nobody_up(toy: MotionPipeline) -> None:
+    with running_playground(toy) as server, ExitStack() as open_streams:
+        for number in range(4):
+            open_streams.enter_context(server.events(REQUEST, f"slow {number}"))  # and reads nothing more
+        start = time.monotonic()
+        assert server.clip(REQUEST, tab="quick")[-1]["event"] == "clip"
+        assert server.send("GET", "/").status == 200
+        assert time.monotonic() - start < 10
+
+
+def test_a_reader_who_stops_reading_and_leaves_stops_the_clip(
+    toy: MotionPipeline, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Even where the server was waiting to write, and something still holds the iterator, as a traceback may."""
+    held = []
+
+    async def body() -> None:
+        playground = Playground(toy)
+        events = playground._events
+        monkeypatch.setattr(playground, "_events", lambda *of: held.append(events(*of)) or held[-1])
+        data = json.dumps({**LONG, "text": "a person walks"}).encode()
+        messages = [{"type": "http.request", "body": data, "more_body": False}]
+        writing = asyncio.Event()
+
+        async def receive() -> Any:
+            if messages:
+                return messages.pop()
+            await writing.wait()
+            return {"type": "http.disconnect"}
+
+        async def send(message: Any) -> None:
+            if message["type"] == "http.response.body":
+                writing.set()
+                await asyncio.sleep(1000)
+
+        headers = [(b"host", b"localhost:1"), (b"content-type", b"application/json")]
+        scope = {"type": "http", "method": "POST", "path": "/api/clip", "query_string": b"", "headers": headers}
+        await application(playground, 1, ServerLimits())(scope, receive, send)
+        assert len(held) == 1
+        await asyncio.sleep(0)
+        assert all(job.cancelling() for job in playground._jobs)
+        await asyncio.gather(*playground._jobs, return_exceptions=True)
+
+    with ThreadPoolExecutor(1) as thread:  # a browser of another test keeps an event loop running in this one
+        thread.submit(lambda: asyncio.run(asyncio.wait_for(body(), 60))).result()
+
+
+def test_a_clip_has_a_limit_of_time(toy: MotionPipeline, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(jobs, "MAX_SECONDS", 0.05)
+    with running_playground(toy) as server:
+        last = server.clip(LONG)[-1]
+        assert last["event"] == "error" and "a clip may take 0.05 seconds" in last["message"]
+        response = server.post("/api/file", {"wish": LONG, "suffix": ".npz"})
+        assert response.status == 503 and "fewer steps" in response.json["error"]
 
 
 def test_a_second_tab_is_not_starved_by_the_first(server: PlaygroundClient) -> None:

@@ -2,20 +2,25 @@
 
 from __future__ import annotations
 
+import json
 import os
 import sys
 import threading
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
 
+from kinegraph import MotionPipeline
 from support.cli_runs import fails, whole
-from support.playground import REQUEST, TEXT, PlaygroundClient
+from support.playground import REQUEST, TEXT, PlaygroundClient, running_playground
 
 pytest.importorskip("spacy")
 pytest.importorskip("starlette")
 pytest.importorskip("uvicorn")
+
+from kinegraph.playground.guards import UNEXPECTED
 
 
 def test_the_page_is_whole_and_may_talk_to_this_server_alone(server: PlaygroundClient) -> None:
@@ -93,10 +98,13 @@ def test_requests_are_bounded(server: PlaygroundClient) -> None:
     assert response.status == 413 and "65536 bytes" in response.json["error"]
     overstated = server.send("POST", "/api/parse", b"{}", content_type="application/json", content_length="9" * 40)
     assert overstated.status in (400, 413)
-    chunked = server.send(
-        "POST", "/api/parse", b"2\r\n{}\r\n0\r\n\r\n", content_type="application/json", transfer_encoding="chunked"
-    )
-    assert chunked.status == 411
+    body = b'{"text": "%s"}' % (b"x" * 70_000)
+    for headers in ({}, {"content_length": "2"}):
+        chunked = server.send(
+            "POST", "/api/parse", b"%x\r\n%s\r\n0\r\n\r\n" % (len(body), body), content_type="application/json",
+            transfer_encoding="chunked", **headers,
+        )  # fmt: skip
+        assert chunked.status == (400 if headers else 413), chunked
 
 
 @pytest.mark.parametrize(
@@ -138,6 +146,15 @@ BAD: list[tuple[str, Any, str]] = [
     ("file", {"wish": REQUEST, "suffix": ["x"]}, "suffix must be one of"),
     ("file", {"wish": 1, "suffix": ".bvh"}, "wish must be"),
     ("file", {"wish": {"text": TEXT}, "suffix": ".bvh"}, "needs the seed"),
+    ("file", {"wish": {**REQUEST, "seed": None}, "suffix": ".bvh"}, "needs the seed"),
+    ("file", {"wish": {**REQUEST, "seed": ""}, "suffix": ".bvh"}, "seed: '' is not a number"),
+    ("file", {"wish": REQUEST, "suffix": ".bvh", "seed": 7}, "unknown 'seed'"),
+    ("file", {"wish": REQUEST, "suffix": ".bvh", "names": ["smpl"]}, "names must be text"),
+    ("clip", b'{"text": "\\ud800"}', "half of a surrogate pair"),
+    ("clip", b'{"text": "a", "text": "b"}', "repeated key 'text'"),
+    ("clip", b'{"text": "a person walks", "seconds": NaN}', "NaN is not a number"),
+    ("clip", b'{"text": ' + b"[" * 17 + b"]" * 17 + b"}", "nested more than 16 deep"),
+    ("clip", b'{"text": "' + b'\\"' * 30_000, "not valid JSON"),
     ("file", {"wish": REQUEST, "suffix": ".bvh", "names": "unreal"}, "one of smpl, mixamo"),
 ]  # fmt: skip
 
@@ -216,3 +233,72 @@ def test_nothing_is_written_and_nothing_asked_of_the_network(server: PlaygroundC
     finally:
         watching.clear()
     assert seen == []
+
+
+HUGE: list[Any] = [
+    10**400, -(10**400), 10**40, 2**64, 1e308, -1e308, 5e-324, True, None, "", " ", "9" * 400, "9" * 5000, "1e400",
+    "nan", "inf", "-0", "\ud800", "\x00", "a" * 60_000, [], {}, [[[[[[[[]]]]]]]], [10**400] * 3, {"motion": 10**400},
+    ["9" * 4000],
+]  # fmt: skip
+"""Values that some reader could fail on; JSON may hold them all."""
+
+
+def places(value: Any) -> Iterator[tuple[Any, ...]]:
+    """Yield the path of every value inside a JSON value."""
+    items = value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ()
+    for key, item in items:
+        yield (key,)
+        yield from ((key, *rest) for rest in places(item))
+
+
+def put(value: Any, path: tuple[Any, ...], new: Any) -> Any:
+    """Copy a JSON value with another value at a path."""
+    if not path:
+        return new
+    copy = dict(value) if isinstance(value, dict) else list(value)
+    copy[path[0]] = put(value[path[0]], path[1:], new)
+    return copy
+
+
+MIX = {
+    "concepts": [{"text": TEXT, "weight": 1.0}], "text": TEXT, "method": "fused", "lambdas": [1, 0, 0],
+    "agd": [0.1, 0.1], "seconds": 1, "seed": 7, "steps": [1, 1, 1], "guidance": [1, 1, 1], "foot_fix": True,
+}  # fmt: skip
+TEMPLATES: list[tuple[str, Any]] = [
+    ("parse", {"text": TEXT}),
+    ("unknown", {"graph": GRAPH}),
+    ("edit", {"graph": GRAPH, "edit": {"kind": "argument", "node": 1, "text": "fast", "role": "ARGM-MNR"}}),
+    ("clip", {"graph": GRAPH, "seconds": 1, "steps": 1, "seed": 1}),
+    ("clip", MIX),
+    ("file", {"wish": MIX, "suffix": ".npz", "names": "smpl"}),
+]
+
+
+@pytest.mark.parametrize(
+    "call, template", TEMPLATES, ids=[f"{number} {call}" for number, (call, _) in enumerate(TEMPLATES)]
+)
+def test_no_value_at_any_place_is_more_than_refused(
+    toy: MotionPipeline, call: str, template: Any, caplog: pytest.LogCaptureFixture
+) -> None:
+    """Numbers of any size, texts of any length, any kind of value: an answer, or a 4xx that says why, and no log."""
+    with running_playground(toy) as server:
+        for path in places(template):
+            for value in HUGE:
+                response = server.post(f"/api/{call}", put(template, path, value))
+                assert response.status in (200, 400, 413), (path, value, response)
+                if response.status != 200:
+                    assert response.json["error"]
+                elif call == "clip":
+                    last = json.loads(response.body.splitlines()[-1])
+                    assert last["event"] in ("clip", "error") and last.get("message") != UNEXPECTED, (path, value, last)
+    assert caplog.records == []
+
+
+@pytest.mark.parametrize("depth", [17, 500, 990, 1000, 5000, 30_000])
+@pytest.mark.parametrize("call", ["parse", "unknown", "edit", "clip", "file"])
+def test_nesting_of_any_depth_is_refused(server: PlaygroundClient, call: str, depth: int) -> None:
+    for start, end in ((b"[", b"]"), (b'{"a":', b"}")):
+        deep = (start * min(depth, 9000) + b"1" + end * min(depth, 9000))[:60_000]
+        for body in (deep, b'{"text":' + deep + b"}", b'{"graph":' + deep + b"}"):
+            response = server.post(f"/api/{call}", body)
+            assert response.status == 400 and "nested more than 16 deep" in response.json["error"]

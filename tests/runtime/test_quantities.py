@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-import kinegraph
+from kinegraph.bundle.reader import text_files_folder
 from kinegraph.graph import Action, Argument, SemanticGraph
 from kinegraph.text.quantities import MAX_NUMBER, find_quantities, read_quantities
 
@@ -16,7 +14,7 @@ pytest.importorskip("spacy")
 
 from kinegraph.text.parser import GraphParser, read_parser
 
-BUNDLE = Path(kinegraph.__file__).parent / "bundles" / "default"
+BUNDLE = text_files_folder()
 
 
 @pytest.fixture(scope="module")

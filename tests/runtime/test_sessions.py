@@ -25,7 +25,7 @@ def by_graph(sessions: Sessions) -> dict[str, onnxruntime.InferenceSession]:
         "text_encoder": sessions.text_encoder,
         "graph_encoder": sessions.graph_encoder,
         **{f"context_{level}": sessions.context[level] for level in LEVELS},
-        **{f"step_{level}": sessions.step[level] for level in LEVELS},
+        **{f"denoiser_{level}": sessions.denoiser[level] for level in LEVELS},
         "decoder": sessions.decoder,
     }
 
@@ -40,7 +40,7 @@ def test_each_session_is_the_graph_of_its_name(bundle: Bundle) -> None:
 def test_by_default_steps_take_one_thread_and_the_rest_at_most_two(bundle: Bundle) -> None:
     for name, session in by_graph(open_sessions(bundle)).items():
         threads = session.get_session_options().intra_op_num_threads
-        assert threads == (1 if name.startswith("step_") else min(2, available_cpus())), name
+        assert threads == (1 if name.startswith("denoiser_") else min(2, available_cpus())), name
 
 
 @pytest.mark.parametrize("threads", [1, 2, 3])
@@ -86,8 +86,8 @@ def test_threads_and_options_exclude_each_other(bundle: Bundle) -> None:
 
 @pytest.mark.parametrize("cut", [0, 1, 40, 100])
 def test_what_onnxruntime_refuses_is_a_bundle_error_naming_the_graph(cut: int) -> None:
-    contract = contracts(LEVEL_SPECS, 12, 137)["step_motion"]
-    with pytest.raises(BundleError, match=r"step_motion\.onnx"):
+    contract = contracts(LEVEL_SPECS, 12, 137)["denoiser_motion"]
+    with pytest.raises(BundleError, match=r"denoiser_motion\.onnx"):
         open_session(filler_model(contract)[:cut], contract, session_options(1))
 
 
@@ -120,8 +120,8 @@ def test_the_graphs_of_adaptive_gradient_descent_are_opened_once_whoever_asks(
     monkeypatch.setattr(onnxruntime, "InferenceSession", lambda *a, **k: opened.append(len(a[0])) or original(*a, **k))
     sessions = open_sessions(bundle)
     before = len(opened)
-    assert set(sessions.step_agd) == set(sessions.context_agd) == set(LEVELS)
+    assert set(sessions.denoiser_agd) == set(sessions.context_agd) == set(LEVELS)
     with ThreadPoolExecutor(8) as pool:
-        used = list(pool.map(lambda _: sessions.step_agd["action"](), range(16)))
+        used = list(pool.map(lambda _: sessions.denoiser_agd["action"](), range(16)))
     assert len(opened) == before + 1 and all(session is used[0] for session in used)
     assert "gamma" in [tensor.name for tensor in used[0].get_inputs()]

@@ -2,19 +2,17 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-import kinegraph
+from kinegraph.bundle.reader import text_files_folder
 from kinegraph.errors import BundleFormatError, InvalidInputError
 from kinegraph.limits import MAX_PIECES, MAX_TEXT
 from kinegraph.text.tokenizer import CaptionTokenizer, span_mask
 
-FILE = Path(kinegraph.__file__).parent / "bundles" / "default" / "tokenizer.json"
+FILE = text_files_folder() / "tokenizer.json"
 
 
 @pytest.fixture(scope="module")

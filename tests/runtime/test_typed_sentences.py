@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-import kinegraph
+from kinegraph.bundle.reader import text_files_folder
 from kinegraph.graph import SemanticGraph
 from support.shared import shared_path
 
@@ -19,7 +19,7 @@ from kinegraph.text.caption_tokens import UNUSUAL, CaptionToken, caption_tokens
 from kinegraph.text.dependency import clean, load_pipeline
 from kinegraph.text.parser import GraphParser, read_parser
 
-BUNDLE = Path(kinegraph.__file__).parent / "bundles" / "default"
+BUNDLE = text_files_folder()
 DEV = Path(__file__).parents[2] / "benchmarks" / "parser" / "hard_sentences_2_dev.jsonl"
 
 

@@ -14,9 +14,16 @@ from typing import Any
 
 import numpy as np
 
-from kinegraph.bundle.contract import LEVELS, NODE_KINDS, GraphContract, LevelSpec, TensorSpec, contracts
-from kinegraph.bundle.manifest import (
+from kinegraph.bundle.contract import (
     FORMAT_VERSION,
+    LEVELS,
+    NODE_KINDS,
+    GraphContract,
+    LevelSpec,
+    TensorSpec,
+    contracts,
+)
+from kinegraph.bundle.manifest import (
     Defaults,
     FeatureSpec,
     FrameSpec,
@@ -97,9 +104,9 @@ def tables_npz(**changes: np.ndarray) -> bytes:
     return buffer.getvalue()
 
 
-def bundle_files() -> dict[str, bytes]:
+def bundle_files(version: int = FORMAT_VERSION) -> dict[str, bytes]:
     """Build the content of every file of the synthetic bundle but the manifest."""
-    graphs = contracts(LEVEL_SPECS, TEXT_WIDTH, 137)
+    graphs = contracts(LEVEL_SPECS, TEXT_WIDTH, 137, version)
     files = {contract.file: filler_model(contract) for contract in graphs.values()}
     files["tokenizer.json"] = b'{"version": "1.0"}'
     files["parser.bin"] = bytes(range(256)) * 2
@@ -107,10 +114,10 @@ def bundle_files() -> dict[str, bytes]:
     return files
 
 
-def manifest_for(files: Mapping[str, bytes]) -> Manifest:
+def manifest_for(files: Mapping[str, bytes], version: int = FORMAT_VERSION) -> Manifest:
     graphs = sorted(name for name in files if name.endswith(".onnx"))
     return Manifest(
-        format_version=FORMAT_VERSION,
+        format_version=version,
         name="synthetic",
         version="0.0.1",
         licence=Licence("Apache-2.0", "CC0-1.0", "none", "Apache-2.0", "MIT"),
@@ -134,13 +141,15 @@ def manifest_for(files: Mapping[str, bytes]) -> Manifest:
     )
 
 
-def write_bundle(folder: Path, contents: Mapping[str, bytes] | None = None, **changes: Any) -> Path:
-    """Write a bundle into a new folder; `changes` replace fields of the manifest."""
-    contents = bundle_files() if contents is None else contents
+def write_bundle(
+    folder: Path, contents: Mapping[str, bytes] | None = None, version: int = FORMAT_VERSION, **changes: Any
+) -> Path:
+    """Write a bundle of a format version into a new folder; `changes` replace fields of the manifest."""
+    contents = bundle_files(version) if contents is None else contents
     folder.mkdir()
     for name, data in contents.items():
         (folder / name).write_bytes(data)
-    manifest = dataclasses.replace(manifest_for(contents), **changes)
+    manifest = dataclasses.replace(manifest_for(contents, version), **changes)
     (folder / "manifest.json").write_bytes(encode_manifest(manifest))
     return folder
 

@@ -11,7 +11,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from kinegraph.bundle.manifest import decode_manifest, describe_file, encode_manifest
-from kinegraph.bundle.reader import DEFAULT_BUNDLE
+from kinegraph.bundle.reader import text_files_folder
 
 TOY_BUNDLE = Path(__file__).resolve().parents[1] / "toy_bundle" / "bundle"
 PARSER_FILES = ("parser.bin", "arguments.npz")
@@ -27,7 +27,8 @@ def with_parser(folder: Path, more: Mapping[str, bytes] | None = None) -> Path:
     shutil.copytree(TOY_BUNDLE, folder)
     manifest = decode_manifest((folder / "manifest.json").read_bytes())
     files = dict(manifest.files)
-    for name, data in {**{name: (DEFAULT_BUNDLE / name).read_bytes() for name in PARSER_FILES}, **(more or {})}.items():
+    parser = {name: (text_files_folder() / name).read_bytes() for name in PARSER_FILES}
+    for name, data in {**parser, **(more or {})}.items():
         (folder / name).write_bytes(data)
         files[name] = describe_file(data)
     (folder / "manifest.json").write_bytes(encode_manifest(dataclasses.replace(manifest, files=files)))

@@ -6,12 +6,12 @@ from pathlib import Path
 
 import torch
 
-import kinegraph
+from kinegraph.bundle.reader import text_files_folder
 from kinegraph_training import train_denoisers, train_vae
 from kinegraph_training.data.folder import PreparedClip, write_data
 from support.motions import walk
 
-ASSETS = Path(kinegraph.__file__).parent / "bundles" / "default"
+ASSETS = text_files_folder()
 
 
 def write_walks(folder: Path) -> None:

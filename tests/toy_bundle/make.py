@@ -24,7 +24,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from kinegraph.bundle.contract import LEVELS, PADDING_BIAS
 from kinegraph.bundle.manifest import Licence, Manifest, decode_manifest, encode_manifest
-from kinegraph.bundle.reader import DEFAULT_BUNDLE
+from kinegraph.bundle.reader import text_files_folder
 from kinegraph.motion.features import HEIGHT
 from kinegraph_export.export_bundle import BundleCard, export_bundle
 from kinegraph_export.onnx_export import round_weights, serialise, store_float16, to_onnx
@@ -113,7 +113,7 @@ def write_assets(folder: Path, width: int) -> None:
     model = store_float16(to_onnx(encoder, sample, *names, (free, free)))
     (folder / "text_encoder.onnx").write_bytes(serialise(model))
     for name in ("parser.bin", "arguments.npz"):
-        shutil.copyfile(DEFAULT_BUNDLE / name, folder / name)
+        shutil.copyfile(text_files_folder() / name, folder / name)
 
 
 def then(first: np.ndarray, second: np.ndarray) -> np.ndarray:

@@ -158,8 +158,8 @@ def test_identities_hold_to_rounding_in_float32(bundle: Path) -> None:
 def test_an_int8_bundle_is_smaller_and_near(trained: Path, bundle: Path, encoders: Path, tmp_path: Path) -> None:
     manifest = export_bundle(trained / "run", ASSETS, CARD, tmp_path / "int8", "int8")
     assert manifest.precision == "int8" and "int8" in manifest.provenance["numbers"]
-    assert {f"int8_step_{level}" for level in LEVELS} <= manifest.parity.keys()
-    sizes = [sum(path.stat().st_size for path in folder.glob("step_*")) for folder in (tmp_path / "int8", bundle)]
+    assert {f"int8_denoiser_{level}" for level in LEVELS} <= manifest.parity.keys()
+    sizes = [sum(path.stat().st_size for path in folder.glob("denoiser_*")) for folder in (tmp_path / "int8", bundle)]
     assert sizes[0] < sizes[1]
     clips = [
         MotionPipeline.load(folder, threads=1).generate("a person walks to the left", seconds=2, seed=1).joints
@@ -186,8 +186,8 @@ def test_an_int8_bundle_is_smaller_and_near(trained: Path, bundle: Path, encoder
 
 
 ONE_OF_A_KIND = (
-    "graph_encoder", "context_action", "clock_action", "step_action", "context_action_agd", "step_action_agd",
-    "decoder", "decoder_action",
+    "graph_encoder", "context_action", "modulation_action", "denoiser_action", "context_action_agd",
+    "denoiser_action_agd", "decoder", "decoder_action",
 )  # fmt: skip
 
 

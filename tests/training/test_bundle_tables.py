@@ -39,7 +39,13 @@ def test_tables_come_back_and_a_run_without_them_has_none(tmp_path: Path) -> Non
 def graph(sentence: np.ndarray) -> GraphArrays:
     kind, ones = np.array([0, 1]), np.ones((2, 2))
     return GraphArrays(
-        np.stack([sentence, sentence]).astype(np.float32), kind[None], ones.astype(np.float32), kind, kind, ones[0]
+        np.stack([sentence, sentence]).astype(np.float32),
+        kind[None],
+        ones.astype(np.float32),
+        kind,
+        kind,
+        ones[0],
+        np.arange(2),
     )
 
 
@@ -63,7 +69,7 @@ def test_clips_made_to_any_length_say_nothing_of_it() -> None:
 
     sentences = np.random.default_rng(1).standard_normal((60, 3))
     graphs = {f"caption {number}": graph(sentence) for number, sentence in enumerate(sentences)}
-    captions = CaptionGraphs({}, np.zeros(1), np.zeros(0), np.zeros(0), np.zeros(0), [])
+    captions = CaptionGraphs({}, np.zeros(1), np.zeros(0), np.zeros(0), np.zeros(0), np.zeros(0), [])
     object.__setattr__(captions, "get", graphs.get)
 
     def clips(frames: int, *, any_length: bool) -> list[MotionClip]:

@@ -11,18 +11,19 @@ import pytest
 pytest.importorskip("torch")
 pytest.importorskip("spacy")
 
-from kinegraph.bundle.reader import DEFAULT_BUNDLE
+from kinegraph.bundle.reader import text_files_folder
 from kinegraph_training.data import caption_cache
 from kinegraph_training.data.caption_cache import CaptionEncoder, encode_graphs
 
+ASSETS = text_files_folder()
 CAPTIONS = ["a person walks and turns left", "someone bows", "a person runs and turns left"]
 
 
 def test_what_was_encoded_is_read_back(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     cache = tmp_path / "captions.npz"
-    first = encode_graphs(CAPTIONS, DEFAULT_BUNDLE, cache)
+    first = encode_graphs(CAPTIONS, ASSETS, cache)
     monkeypatch.setattr(caption_cache, "CaptionEncoder", lambda folder: pytest.fail("encoded again"))
-    again = encode_graphs([*CAPTIONS, CAPTIONS[0]], DEFAULT_BUNDLE, cache)
+    again = encode_graphs([*CAPTIONS, CAPTIONS[0]], ASSETS, cache)
     for caption in CAPTIONS:
         np.testing.assert_array_equal(again.get(caption).nodes, first.get(caption).nodes)
         np.testing.assert_array_equal(again.get(caption).relation, first.get(caption).relation)
@@ -30,16 +31,16 @@ def test_what_was_encoded_is_read_back(tmp_path: Path, monkeypatch: pytest.Monke
 
 def test_only_what_is_new_is_encoded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     cache, encoded = tmp_path / "captions.npz", []
-    whole = encode_graphs(CAPTIONS, DEFAULT_BUNDLE, tmp_path / "whole.npz")
-    encode_graphs(CAPTIONS[:2], DEFAULT_BUNDLE, cache)
+    whole = encode_graphs(CAPTIONS, ASSETS, tmp_path / "whole.npz")
+    encode_graphs(CAPTIONS[:2], ASSETS, cache)
 
     def noted(assets: Path, verbs_masked: bool, captions: list[str], encode: Any = caption_cache._encode_chunk) -> Any:
         encoded.extend(captions)
         return encode(assets, verbs_masked, captions)
 
     monkeypatch.setattr(caption_cache, "_encode_chunk", noted)
-    both = encode_graphs(CAPTIONS, DEFAULT_BUNDLE, cache)
-    fewer = encode_graphs(CAPTIONS[1:], DEFAULT_BUNDLE, cache)
+    both = encode_graphs(CAPTIONS, ASSETS, cache)
+    fewer = encode_graphs(CAPTIONS[1:], ASSETS, cache)
     assert encoded == CAPTIONS[2:]
     assert set(fewer.captions) == set(CAPTIONS[1:])
     for encoded_graphs, captions in ((both, CAPTIONS), (fewer, CAPTIONS[1:])):
@@ -50,32 +51,32 @@ def test_only_what_is_new_is_encoded(tmp_path: Path, monkeypatch: pytest.MonkeyP
 
 def test_what_other_assets_encoded_is_encoded_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     cache = tmp_path / "captions.npz"
-    encode_graphs(CAPTIONS, DEFAULT_BUNDLE, cache)
-    assets = {**caption_cache.read_assets(DEFAULT_BUNDLE), "parser.bin": b"another parser"}
+    encode_graphs(CAPTIONS, ASSETS, cache)
+    assets = {**caption_cache.read_assets(ASSETS), "parser.bin": b"another parser"}
     monkeypatch.setattr(caption_cache, "read_assets", lambda folder: assets)
     monkeypatch.setattr(caption_cache, "_encode_chunk", lambda *_: pytest.fail("encoded again"))
     with pytest.raises(pytest.fail.Exception, match="encoded again"):
-        encode_graphs(CAPTIONS, DEFAULT_BUNDLE, cache)
+        encode_graphs(CAPTIONS, ASSETS, cache)
 
 
 def test_several_processes_encode_what_one_does(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    alone = encode_graphs(CAPTIONS, DEFAULT_BUNDLE, tmp_path / "alone.npz")
+    alone = encode_graphs(CAPTIONS, ASSETS, tmp_path / "alone.npz")
     monkeypatch.setattr(caption_cache, "CHUNK", 2)
     monkeypatch.setattr(caption_cache, "available_cpus", lambda: 2)
-    together = encode_graphs(CAPTIONS, DEFAULT_BUNDLE, tmp_path / "together.npz")
+    together = encode_graphs(CAPTIONS, ASSETS, tmp_path / "together.npz")
     for caption in CAPTIONS:
         np.testing.assert_array_equal(together.get(caption).nodes, alone.get(caption).nodes)
         np.testing.assert_array_equal(together.get(caption).relation, alone.get(caption).relation)
 
 
 def test_masked_captions_keep_their_graph_and_tell_no_verb(tmp_path: Path) -> None:
-    whole = encode_graphs(CAPTIONS, DEFAULT_BUNDLE, tmp_path / "whole.npz")
-    masked = encode_graphs(CAPTIONS, DEFAULT_BUNDLE, tmp_path / "masked.npz", verbs_masked=True)
+    whole = encode_graphs(CAPTIONS, ASSETS, tmp_path / "whole.npz")
+    masked = encode_graphs(CAPTIONS, ASSETS, tmp_path / "masked.npz", verbs_masked=True)
     for caption in CAPTIONS:
         np.testing.assert_array_equal(masked.get(caption).relation, whole.get(caption).relation)
         assert np.abs(masked.get(caption).nodes - whole.get(caption).nodes).max() > 0.1
     # two captions that differ in a verb alone are the same without verbs
     walks, runs = (masked.get(CAPTIONS[index]).nodes for index in (0, 2))
     np.testing.assert_array_equal(walks, runs)
-    direct = CaptionEncoder(DEFAULT_BUNDLE).encode(CAPTIONS[0]).nodes
+    direct = CaptionEncoder(ASSETS).encode(CAPTIONS[0]).nodes
     np.testing.assert_allclose(whole.get(CAPTIONS[0]).nodes, direct, atol=2e-3)  # kept as float16

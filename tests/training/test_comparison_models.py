@@ -42,10 +42,12 @@ def test_a_model_that_does_not_exist_is_refused(wrong: dict[str, object]) -> Non
 
 
 def test_which_nodes_a_level_sees() -> None:
-    assert [config().kinds_seen(level) for level in LEVELS] == [1, 2, 3]
-    assert [config(nodes_seen="all").kinds_seen(level) for level in LEVELS] == [3, 3, 3]
-    assert [config(condition="tokens").kinds_seen(level) for level in LEVELS] == [1, 1, 1]
-    assert config(condition="sentence", levels=("specific",)).kinds_seen("specific") == 1
+    nodes = ("motion", "action", "specific")
+    assert [config().kinds_seen(level) for level in LEVELS] == [nodes[:1], nodes[:2], nodes]
+    assert [config(nodes_seen="all").kinds_seen(level) for level in LEVELS] == [nodes] * 3
+    assert [config(words=True).kinds_seen(level)[-1] for level in LEVELS] == ["word"] * 3
+    assert [config(condition="tokens").kinds_seen(level) for level in LEVELS] == [nodes[:1]] * 3
+    assert config(condition="sentence", levels=("specific",)).kinds_seen("specific") == nodes[:1]
 
 
 @torch.no_grad()
@@ -59,7 +61,7 @@ def test_concat_sees_its_conditions_and_nothing_that_is_masked() -> None:
     bias[:, 4] = PADDING_BIAS
 
     def noise(nodes: torch.Tensor, coarse: torch.Tensor, kind: torch.Tensor = kind) -> torch.Tensor:
-        return denoiser.step(latent, time, denoiser.context(nodes, kind, order, coarse), bias[:, None, None, :])
+        return denoiser.step(latent, time, denoiser.context(nodes, kind, order, bias, coarse), bias[:, None, None, :])
 
     plain = noise(nodes, coarse)
     assert plain.shape == (2, 4, 6)

@@ -25,7 +25,7 @@ from kinegraph_training.data.clips import MotionClip, mirrored_label, read_split
 from kinegraph_training.data.folder import PreparedClip, write_data
 from kinegraph_training.dataset import training_clips
 from kinegraph_training.metrics import hand_speed, jerk
-from kinegraph_training.synthetic.caption_grammar import LOCOMOTION
+from kinegraph_training.synthetic.caption_grammar import CAPTIONS, LOCOMOTION
 from kinegraph_training.synthetic.compositions import HeldOut
 
 HELD = {"together": [["walk", "wave-left-hand"], ["walk-turn-left", "raise-up-left-hand"]], "in_order": []}
@@ -119,7 +119,7 @@ def test_only_what_was_recorded_and_is_not_held_out_is_composed(data: Path) -> N
         assert (first, request.style) in recorded and (second, request.style) in recorded
         assert second not in LOCOMOTION
         assert request.seconds == recorded[first, request.style] / 20
-        assert len(set(request.captions)) == 4
+        assert len(set(request.captions)) == CAPTIONS
     assert {request.style for request in requests} == {"normal", "happy"}
     # The manner is said of each action, and clips are drawn independently of one another.
     assert all("happ" in " ".join(request.concepts) for request in requests if request.style == "happy")

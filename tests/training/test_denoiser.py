@@ -3,17 +3,26 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 torch = pytest.importorskip("torch")
 
-from kinegraph.bundle.contract import NULL_KIND, PADDING_BIAS
+from kinegraph.bundle.contract import KINDS, NULL_KIND, PADDING_BIAS
 from kinegraph_export.modules import DenoiserGraph, ModulationGraph
-from kinegraph_training.models.denoiser import CrossAttention, Denoiser, DenoiserConfig, LatentShape, RowMixing
+from kinegraph_training.models.denoiser import (
+    ContextTokens,
+    CrossAttention,
+    Denoiser,
+    DenoiserConfig,
+    LatentShape,
+    RowMixing,
+)
 
-CONFIG = DenoiserConfig(width=16, layers=3, heads=2, feed_forward=32, text_width=12, max_frames=40, train_steps=50)
+SIZES = {"width": 16, "layers": 3, "heads": 2, "feed_forward": 32, "text_width": 12, "max_frames": 40}
+CONFIG = DenoiserConfig(**SIZES, train_steps=50, words=True, context_layers=2)
 LATENT, COARSE = LatentShape(4, 6), LatentShape(2, 5)
 
 
@@ -23,6 +32,9 @@ def denoiser() -> Denoiser:
     denoiser = Denoiser(CONFIG, LATENT, COARSE).eval()
     # As trained: at the start neither step nor length says anything.
     torch.nn.init.normal_(denoiser.clock.out.weight, std=0.3)
+    for layer in denoiser.context.mixing:
+        torch.nn.init.normal_(layer.self_attention.out.weight, std=0.3)
+        torch.nn.init.normal_(layer.feed[-1].weight, std=0.3)
     return denoiser
 
 
@@ -42,7 +54,7 @@ def inputs(rows: int = 3, nodes: int = 5) -> dict[str, torch.Tensor]:
 def noise(denoiser: Denoiser, step: int = 7, frames: int = 20, **parts: torch.Tensor) -> torch.Tensor:
     """As training calls it."""
     rows = len(parts["latent"])
-    context = denoiser.context(parts["nodes"], parts["kind"], parts["order"], parts["coarse"])
+    context = denoiser.context(parts["nodes"], parts["kind"], parts["order"], parts["bias"], parts["coarse"])
     modulation = denoiser.clock(torch.full((rows,), step), torch.full((rows,), frames))
     return denoiser.step(parts["latent"], modulation, context, parts["bias"][:, None, None, :])
 
@@ -51,7 +63,7 @@ def noise(denoiser: Denoiser, step: int = 7, frames: int = 20, **parts: torch.Te
 def test_the_exported_form_of_a_step_is_the_trained_one(denoiser: Denoiser) -> None:
     # The clock of all steps at once, an identity mixing, one bias per latent token: what the runtime feeds.
     parts = inputs()
-    context = denoiser.context(parts["nodes"], parts["kind"], parts["order"], parts["coarse"])
+    context = denoiser.context(parts["nodes"], parts["kind"], parts["order"], parts["bias"], parts["coarse"])
     clock = ModulationGraph(denoiser.clock)(torch.tensor([1, 7, 9]), torch.tensor([11, 20]))
     modulation = clock[1, 1].expand(3, -1, -1)
     bias = parts["bias"][:, None, None, :].expand(-1, -1, 4, -1)
@@ -124,6 +136,60 @@ def test_masked_nodes_have_no_influence(denoiser: Denoiser) -> None:
     parts["bias"][:, 3] = PADDING_BIAS
     other = {**parts, "nodes": parts["nodes"].clone()}
     other["nodes"][:, 3] = 100.0
+    assert torch.equal(noise(denoiser, **parts), noise(denoiser, **other))
+
+
+@torch.no_grad()
+def test_context_layers_are_the_attention_of_tokens_to_one_another_written_out(denoiser: Denoiser) -> None:
+    parts, encoder = inputs(rows=1), denoiser.context
+    given = [parts[name] for name in ("nodes", "kind", "order", "bias", "coarse")]
+    mixing, encoder.mixing = encoder.mixing, torch.nn.ModuleList()
+    x = ContextTokens.forward(encoder, *given)[0]
+    encoder.mixing = mixing
+    for layer in mixing:
+        query, key, value = layer.self_attention.qkv(layer.norm_self(x)).chunk(3, dim=-1)
+        heads = []
+        for head in range(2):
+            part = slice(8 * head, 8 * head + 8)
+            scores = query[:, part] @ key[:, part].T / math.sqrt(8) + parts["bias"][0]
+            heads.append(scores.softmax(dim=-1) @ value[:, part])
+        x = x + layer.self_attention.out(torch.cat(heads, dim=-1))
+        x = x + layer.feed(layer.norm_feed(x))
+    torch.testing.assert_close(ContextTokens.forward(encoder, *given)[0], x, atol=1e-5, rtol=0)
+
+
+@torch.no_grad()
+def test_untrained_context_layers_change_nothing() -> None:
+    torch.manual_seed(1)
+    mixed = ContextTokens(CONFIG, COARSE).eval()
+    plain = ContextTokens(replace(CONFIG, context_layers=0), COARSE).eval()
+    plain.load_state_dict({name: value for name, value in mixed.state_dict().items() if "mixing" not in name})
+    given = [inputs()[name] for name in ("nodes", "kind", "order", "bias", "coarse")]
+    torch.testing.assert_close(mixed(*given), plain(*given), atol=0, rtol=0)
+
+
+@torch.no_grad()
+def test_a_hidden_token_is_a_token_that_is_not_there(denoiser: Denoiser) -> None:
+    # Nodes 1 and 4, an action and a word of it, without weight; keys and values of the others are as without them.
+    parts = inputs()
+    parts["kind"] = torch.tensor([[0, 1, 1, 4, 4]] * 3)
+    parts["bias"][:, [1, 4]] = PADDING_BIAS
+    left, tokens = [0, 2, 3], [0, 2, 3, 5, 6]
+    whole = denoiser.context(parts["nodes"], parts["kind"], parts["order"], parts["bias"], parts["coarse"])
+    cut = [parts[name][:, left] for name in ("nodes", "kind", "order")]
+    alone = denoiser.context(*cut, parts["bias"][:, tokens], parts["coarse"])
+    for pair, expected in zip(whole, alone, strict=True):
+        for part, other in zip(pair, expected, strict=True):
+            torch.testing.assert_close(part[:, :, tokens], other, atol=1e-5, rtol=0)
+
+
+@pytest.mark.parametrize("kind", ["null", "partial"])
+def test_learned_tokens_do_not_read_their_node(denoiser: Denoiser, kind: str) -> None:
+    parts = inputs()
+    parts["kind"][:, 0] = KINDS[kind]
+    other = {**parts, "nodes": parts["nodes"].clone(), "order": parts["order"].clone()}
+    other["nodes"][:, 0] += 1.0
+    other["order"][:, 0] += 1
     assert torch.equal(noise(denoiser, **parts), noise(denoiser, **other))
 
 

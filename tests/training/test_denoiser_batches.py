@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -11,17 +12,24 @@ import pytest
 torch = pytest.importorskip("torch")
 pytest.importorskip("lightning")
 
-from kinegraph.bundle.contract import LEVELS, NULL_KIND, PADDING_BIAS
-from kinegraph.conditioning import ACTION, MOTION, SPECIFIC, GraphArrays
+from kinegraph.bundle.contract import LEVELS, NULL_KIND, PADDING_BIAS, PARTIAL_KIND
+from kinegraph.conditioning import ACTION, MOTION, SPECIFIC, GraphArrays, with_words
 from kinegraph_training import denoiser_batches
 from kinegraph_training.config import OptimiserConfig
 from kinegraph_training.data.clips import MotionClip
 from kinegraph_training.dataset import Dataset
-from kinegraph_training.denoiser_batches import COARSE_NOISE, VERB_MASKING, DenoiserBatch, DenoiserBatches, drop_nodes
+from kinegraph_training.denoiser_batches import (
+    COARSE_NOISE,
+    PARTIAL_WHOLE,
+    VERB_MASKING,
+    DenoiserBatch,
+    DenoiserBatches,
+    drop_nodes,
+)
 from kinegraph_training.latents import Latents
 from kinegraph_training.models.denoiser import DenoiserConfig, LatentShape
 from kinegraph_training.models.graph_encoder import GraphEncoder
-from kinegraph_training.train_denoisers import DenoiserModule, squared_error
+from kinegraph_training.train_denoisers import DenoiserModule, HideLate, squared_error
 
 WIDTH = 12
 SHAPES = {"motion": (2, 4), "action": (3, 4), "specific": (4, 4)}
@@ -43,6 +51,7 @@ def graph(parents: list[int], actions: int, seed: int = 0) -> GraphArrays:
         kind=np.array([MOTION] + [ACTION] * actions + [SPECIFIC] * len(parents), dtype=np.int64),
         order=np.array([0, *range(1, actions + 1), *parents], dtype=np.int64),
         path_weight=np.ones(count, dtype=np.float32),
+        owner=np.arange(count),
     )
 
 
@@ -132,12 +141,30 @@ def test_a_tenth_loses_its_text_and_many_the_coarser_latent(many: DenoiserBatch)
 def test_nodes_are_hidden_as_often_as_said(many: DenoiserBatch) -> None:
     large = (many.graph.kind != NULL_KIND).all(dim=1) & (torch.arange(4000) % 2 == 1)
     hidden = (many.node_bias[large] == PADDING_BIAS).double().mean(dim=0)
-    # A specific is hidden by itself (0.2) or with its action (0.05).
-    expected = [0.4, 0.05, 0.05] + [1 - 0.8 * 0.95] * 3
+    # A specific is hidden by itself (0.2) or with its action (0.05); the token of a partial caption stays.
+    expected = [0.4 * (1 - PARTIAL_WHOLE), 0.05, 0.05] + [1 - 0.8 * 0.95] * 3
     np.testing.assert_allclose(hidden.numpy(), expected, atol=0.045)
     small = (many.graph.kind != NULL_KIND).all(dim=1) & (torch.arange(4000) % 2 == 0)
     # The only action stays, and padding is never shown.
     assert (many.node_bias[small, 1] == 0).all() and (many.node_bias[small, 3:] == PADDING_BIAS).all()
+
+
+def test_some_captions_are_told_to_name_a_part(many: DenoiserBatch) -> None:
+    shown = (many.graph.kind != NULL_KIND).all(dim=1)
+    part = many.graph.kind[shown, 0] == PARTIAL_KIND
+    assert float(part.double().mean()) == pytest.approx(PARTIAL_WHOLE, abs=0.02)
+    # Their token is always there, and nothing of the sentence reaches another node.
+    assert (many.node_bias[shown][part, 0] == 0).all()
+    edges = many.graph.relation[shown][part][:, 0, 1:] >= 0
+    assert edges.any() and (many.graph.edge_weight[shown][part][:, 0, 1:][edges] == 0).all()
+
+
+def test_words_go_with_the_node_that_they_hang_on() -> None:
+    owners = np.array([0, 1, 3, 3, 5])
+    words = with_words(LARGE, np.ones((5, WIDTH), dtype=np.float32), owners)
+    for seed in range(20):
+        _, visible = drop_nodes(words, np.random.default_rng(seed))
+        np.testing.assert_array_equal(visible[6:], visible[owners])
 
 
 def test_validation_hides_nothing() -> None:
@@ -244,3 +271,31 @@ def test_the_loss_is_that_of_the_noise_in_a_noised_latent(
     alpha = np.cumprod(1 - betas)[[0, 49], None, None]
     expected = np.sqrt(alpha) * batch.latents["action"].numpy() + np.sqrt(1 - alpha) * noise.numpy()
     np.testing.assert_allclose(read[0], expected, atol=1e-5)
+
+
+def test_nothing_is_hidden_before_the_last_part_of_a_run() -> None:
+    early = batches(augment=True, masked=Masked())
+    early.hiding = False
+    batch = early([0, 1] * 500)
+    has_text = (batch.graph.kind != NULL_KIND).any(dim=1)
+    padding = batch.graph.node_mask == 0
+    assert ((batch.node_bias == PADDING_BIAS) == padding)[has_text].all()
+    assert not (batch.graph.nodes == 7.0).any()
+    callback = HideLate(early, first_step=3)
+    for step, hides in ((2, False), (3, True)):
+        callback.on_train_batch_start(SimpleNamespace(global_step=step), None, None, 0)
+        assert early.hiding is hides
+
+
+def test_half_of_the_draws_of_a_composition_name_a_part_and_say_so() -> None:
+    composed = batches(augment=True)
+    composed.hiding = False
+    composed.dataset.clips[0] = replace(composed.dataset.clips[0], partial_captions=("large",))
+    batch = composed([0] * 2000)
+    text = (batch.graph.kind != NULL_KIND).any(dim=1)
+    is_large = batch.graph.node_mask.sum(dim=1) == len(LARGE.kind)
+    is_partial = batch.graph.kind[:, 0] == PARTIAL_KIND
+    assert float(is_large.double().mean()) == pytest.approx(0.5, abs=0.04)
+    assert is_partial[is_large & text].all()
+    # Some that name everything are marked as well.
+    assert float(is_partial[~is_large & text].double().mean()) == pytest.approx(PARTIAL_WHOLE, abs=0.03)

@@ -11,7 +11,7 @@ torch = pytest.importorskip("torch")
 pytest.importorskip("lightning")
 pytest.importorskip("onnxscript")
 
-from kinegraph.bundle.reader import DEFAULT_BUNDLE
+from kinegraph.bundle.reader import text_files_folder
 from kinegraph.errors import BundleIntegrityError, InvalidInputError
 from kinegraph.motion.features import features_from_joints
 from kinegraph_benchmarks.common.evaluator import Evaluator
@@ -65,7 +65,7 @@ def test_trained_saved_and_used_without_torch(tmp_path: Path, monkeypatch: pytes
     data(tmp_path / "data")
     quick = OptimiserConfig(steps=4, learning_rate=1e-3, warmup=1, batch=8, ema=0.9)
     monkeypatch.setattr(train_evaluator, "TRAINING", quick)
-    words = ["--data", str(tmp_path / "data"), "--run", str(tmp_path / "run"), "--assets", str(DEFAULT_BUNDLE)]
+    words = ["--data", str(tmp_path / "data"), "--run", str(tmp_path / "run"), "--assets", str(text_files_folder())]
     train_evaluator.main([*words, "--threads", "1", "--enable_progress_bar", "0", "--accelerator", "cpu"])
     assert (tmp_path / "run" / "curves" / "curves.png").is_file()
     export_evaluator(tmp_path / "run", "7", tmp_path / "out")

@@ -11,7 +11,7 @@ import pytest
 from kinegraph.clip import Clip
 from kinegraph.errors import InvalidInputError, OutputError
 from kinegraph.motion.skeleton import canonicalise
-from kinegraph_training.data.bvh import parse_bvh, read_bvh
+from kinegraph_training.data.bvh import parse_bvh
 from kinegraph_training.data.captions_file import match_captions, read_captions
 from kinegraph_training.data.clips import read_split
 from kinegraph_training.data.folder import assign_splits
@@ -56,8 +56,8 @@ def test_a_clip_of_one_frame_or_far_too_large_is_refused(tmp_path: Path) -> None
         prepare_joints(tmp_path, bvh_text(frames=1)[0])
     with pytest.raises(InvalidInputError, match=r"3\.2 m"):
         prepare_joints(tmp_path, GOOD, scale=1.0)
-    with pytest.raises(InvalidInputError, match=r"absent\.bvh"):
-        read_bvh(tmp_path / "absent.bvh")
+    with pytest.raises(InvalidInputError, match=r"absent\.bvh: it cannot be read"):
+        clip_joints(tmp_path / "absent.bvh", PrepareOptions())
 
 
 def test_a_joint_may_be_called_motion() -> None:
@@ -181,7 +181,7 @@ def test_captions_find_their_files() -> None:
         "deep/b": ("y", "v"),
         "deep/c": ("z",),
     }
-    with pytest.raises(InvalidInputError, match=r"captions without a BVH file: d.*BVH files without a caption: a, b"):
+    with pytest.raises(InvalidInputError, match=r"captions without a file: d.*files without a caption: a, b"):
         match_captions({"d": ("x",)}, ["b", "a"])
     with pytest.raises(InvalidInputError, match=r"a\.bvh \(which of one/a, two/a\?\)"):
         match_captions({"a.bvh": ("x",), "one/a": ("y",), "two/a": ("z",)}, ["one/a", "two/a"])
@@ -191,10 +191,10 @@ def test_captions_find_their_files() -> None:
     ("files", "captions", "extra", "message"),
     [
         ({"a.bvh": GOOD, "b.bvh": "junk"}, None, [], "b.bvh: no BVH file"),
-        ({"a.bvh": GOOD}, {"a.bvh": "x", "z.bvh": "y"}, [], "captions without a BVH file: z.bvh"),
+        ({"a.bvh": GOOD}, {"a.bvh": "x", "z.bvh": "y"}, [], "captions without a file: z.bvh"),
         ({"a.bvh": GOOD, "b.bvh": GOOD}, {"a.bvh": "x"}, [], "without a caption: b"),
         ({"a.bvh": GOOD, "a.BVH": GOOD}, None, [], "same id"),
-        ({"a.txt": GOOD}, None, [], "no .bvh files"),
+        ({"a.txt": GOOD}, None, [], "no .bvh or .glb files"),
         ({"a.bvh": GOOD}, None, ["--fps", "0"], "--fps"),
         ({"a.bvh": GOOD}, None, ["--fps", "1e9"], "--fps"),
         ({"a.bvh": GOOD}, None, ["--fps", "nan"], "--fps"),
@@ -233,7 +233,7 @@ def test_data_is_not_overwritten_unless_asked(tmp_path: Path) -> None:
     paths = [tmp_path / "bvh", tmp_path / "c.csv", tmp_path / "out"]
     prepare(*paths, PrepareOptions())
     before = (tmp_path / "out" / "index.jsonl").read_bytes()
-    (tmp_path / "bvh" / "b.bvh").write_text(bvh_text(frames=9)[0])
+    (tmp_path / "bvh" / "b.bvh").write_text(bvh_text(frames=19)[0])
     with pytest.raises(OutputError, match="--force"):
         prepare(*paths, PrepareOptions())
     assert (tmp_path / "out" / "index.jsonl").read_bytes() == before

@@ -12,9 +12,10 @@ import pytest
 
 from kinegraph.errors import InvalidInputError
 from kinegraph.motion.skeleton import JOINT_NAMES, canonicalise
+from kinegraph_training.data.body import guess_unit
 from kinegraph_training.data.bvh import joint_positions, parse_bvh, resample_bvh
-from kinegraph_training.data.retargeting import NAMING_CONVENTIONS, find_joint_map, map_joints, plain_name, read_map
-from kinegraph_training.prepare import guess_unit
+from kinegraph_training.data.naming import NAMING_CONVENTIONS, plain_name
+from kinegraph_training.data.retargeting import find_joint_map, map_joints, read_map
 from support.bvh_files import MIXAMO, bvh_text, prepare_joints
 from support.shared import shared_path
 
@@ -195,7 +196,10 @@ def test_joints_that_cannot_be_mapped_are_named(tmp_path: Path) -> None:
 
 
 def test_plain_names() -> None:
-    assert plain_name("mixamorig:LeftUpLeg") == "leftupleg"
-    assert plain_name("CC_Base_L_Thigh") == "lthigh"
-    assert plain_name("rig:spine:Left Foot.end") == "leftfoot.end"
+    for name in ("mixamorig:LeftUpLeg", "leftupleg", "L_UpLeg_JNT", "Hero|Character1_LeftUpLeg", "upleg.L", "UPLEGL"):
+        assert plain_name(name) == "left upleg"
+    for name in ("LowerBack", "Bip01 lowerback", "robot_LowerBack"):
+        assert plain_name(name) == "lowerback"
+    assert plain_name("CC_Base_L_Thigh") == "left thigh"
+    assert plain_name("rig:spine:Left Foot.end") == "left foot.end"
     assert plain_name("Bip01_Neck") == "neck"

@@ -10,7 +10,7 @@ import pytest
 pytest.importorskip("torch")
 pytest.importorskip("spacy")
 
-from kinegraph.bundle.reader import DEFAULT_BUNDLE
+from kinegraph.bundle.reader import text_files_folder
 from kinegraph.errors import InvalidInputError
 from kinegraph.text.argument_classifier import read_provenance
 from kinegraph.text.parser import GraphParser
@@ -21,7 +21,7 @@ GOLD = Path(__file__).parents[2] / "benchmarks" / "parser" / "hard_sentences_dev
 
 @pytest.fixture(scope="module")
 def pipeline() -> bytes:
-    return (DEFAULT_BUNDLE / "parser.bin").read_bytes()
+    return (text_files_folder() / "parser.bin").read_bytes()
 
 
 def test_labels_are_the_roles_of_the_gold(pipeline: bytes) -> None:

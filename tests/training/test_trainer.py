@@ -10,8 +10,9 @@ import pytest
 torch = pytest.importorskip("torch")
 L = pytest.importorskip("lightning")
 
+from kinegraph_training.checkpoints import fit
 from kinegraph_training.config import OptimiserConfig
-from kinegraph_training.trainer import configure_optimiser, last_checkpoint, make_trainer
+from kinegraph_training.trainer import configure_optimiser, make_trainer
 
 CONFIG = OptimiserConfig(steps=8, learning_rate=0.1, warmup=2, batch=1, ema=0.9)
 QUIET: dict[str, Any] = {"accelerator": "cpu", "precision": "32-true", "enable_progress_bar": False}
@@ -38,7 +39,7 @@ def train(run: Path, **flags: Any) -> dict[str, Any]:
     """Start or resume the run, with checkpoints every 3 steps and epochs of 4; returns `last.ckpt`."""
     batches = torch.utils.data.DataLoader(range(4))
     trainer = make_trainer(run, CONFIG, validate_every=3, lightning=QUIET | flags)
-    trainer.fit(Line(), batches, batches, ckpt_path=last_checkpoint(run))
+    fit(trainer, Line(), batches, batches, run)
     checkpoint: dict[str, Any] = torch.load(run / "last.ckpt", weights_only=True)
     return checkpoint
 

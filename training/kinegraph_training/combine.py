@@ -19,11 +19,9 @@ from pathlib import Path
 from typing import Any, Final
 
 from kinegraph.errors import InvalidInputError, KinegraphError
-from kinegraph.files import write_atomically
-from kinegraph.motion.skeleton import canonicalise
-from kinegraph_training.data.clips import AT_ONCE, IN_ORDER, MotionClip, read_jsonl, read_split
+from kinegraph_training.data.clips import AT_ONCE, IN_ORDER, MotionClip, read_jsonl, read_split, start_at_origin
 from kinegraph_training.data.common_skeleton import rest_directions, to_common_skeleton
-from kinegraph_training.data.folder import pack_clips, to_json_lines
+from kinegraph_training.data.folder import pack_clips, to_json_lines, write_files
 from kinegraph_training.synthetic.action_table import ActionTable, read_action_table
 
 LABEL_KEYS: Final = ("content", "label")
@@ -87,7 +85,7 @@ def read_folder(folder: Path) -> list[SourceClip]:
 
 def convert(source: SourceClip, rests: dict[int, Any], table: ActionTable) -> SourceClip:
     """Bring a clip to the common skeleton, and its label to the names of the action table."""
-    joints = canonicalise(to_common_skeleton(source.clip.joints, rests))
+    joints = start_at_origin(to_common_skeleton(source.clip.joints, rests))
     label = next((str(source.row[key]) for key in LABEL_KEYS if source.row.get(key)), "")
     separator = IN_ORDER if IN_ORDER in label else AT_ONCE
     # A label that the table does not know, such as one of several activities, says no more than the captions do.
@@ -98,14 +96,15 @@ def convert(source: SourceClip, rests: dict[int, Any], table: ActionTable) -> So
 
 
 def write_combined(out: Path, clips: Sequence[SourceClip]) -> None:
-    """Write a data folder, its index last."""
-    out.mkdir(parents=True, exist_ok=True)
-    for split in sorted({clip.split for clip in clips}):
-        members = [(clip.clip.id, clip.clip.joints) for clip in clips if clip.split == split]
-        write_atomically(out / f"{split}.npz", pack_clips(members, 20))
+    """Write a data folder, all or nothing, its index last."""
+    files = {
+        f"{split}.npz": pack_clips([(each.clip.id, each.clip.joints) for each in clips if each.split == split], 20)
+        for split in sorted({each.split for each in clips})
+    }
     captions = [{"id": each.clip.id, "split": each.split, "captions": list(each.clip.captions)} for each in clips]
-    write_atomically(out / "captions.jsonl", to_json_lines(captions))
-    write_atomically(out / "index.jsonl", to_json_lines([index_row(clip) for clip in clips]))
+    files["captions.jsonl"] = to_json_lines(captions)
+    files["index.jsonl"] = to_json_lines([index_row(clip) for clip in clips])
+    write_files(out, files)
 
 
 def index_row(source: SourceClip) -> dict[str, Any]:

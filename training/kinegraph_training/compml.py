@@ -40,8 +40,8 @@ from kinegraph.files import write_atomically
 from kinegraph_training.data.clips import AT_ONCE, MotionClip, read_split
 from kinegraph_training.data.folder import PreparedClip, write_data
 from kinegraph_training.metrics import foot_skate, hand_speed, jerk
-from kinegraph_training.synthetic.caption_grammar import concept_caption, splice_caption
-from kinegraph_training.synthetic.compositions import HeldOut, can_splice, draw_pair, select_spliceable
+from kinegraph_training.synthetic.caption_grammar import PHRASES, concept_caption, splice_caption
+from kinegraph_training.synthetic.compositions import HeldOut, by_style_and_action, can_splice, draw_of, draw_style
 
 LIMIT: Final = 1.5
 """Factor by which jerk and foot skate may exceed those of captured clips, and hand speed fall below theirs."""
@@ -88,16 +88,17 @@ class Composer:
             InvalidInputError: no two captured clips can be composed.
         """
         rng = np.random.Generator(np.random.PCG64((self.seed, number, attempt)))
-        clips = list(self.clips)
+        groups = by_style_and_action(self.clips)
         for _ in range(PAIRS_DRAWN):
-            first, second = draw_pair(clips, rng)
-            if can_splice(first, second, self.held_out):
-                both = (first.action, second.action)
+            style = draw_style(groups, rng)
+            first, second = (draw_of(groups[style], rng) for _ in range(2))
+            both = (first.action, second.action)
+            if both[0] != both[1] and can_splice(both[0], both[1:], self.held_out):
                 return CompositionRequest(
                     actions=both,
                     style=first.style,
                     concepts=(concept_caption(both[0], first.style, rng), concept_caption(both[1], first.style, rng)),
-                    captions=splice_caption(*both, first.style, rng),
+                    captions=splice_caption(both, first.style, rng),
                     seconds=len(first.joints) / self.pipe.manifest.fps,
                     seed=int(rng.integers(2**32)),
                 )
@@ -144,7 +145,10 @@ def make_composer(pipe: MotionPipeline, data: Path, held_out: Path, seed: int) -
         InvalidInputError: files that cannot be read, or no style with two labelled actions.
     """
     shortest, longest = pipe.manifest.frames.min, pipe.manifest.frames.max
-    usable = [clip for clip in select_spliceable(read_split(data, "train")) if shortest <= len(clip.joints) <= longest]
+    clips = [clip for clip in read_split(data, "train") if clip.action in PHRASES]
+    usable = [
+        clip for clip in clips if PHRASES[clip.action].parts != "body" and shortest <= len(clip.joints) <= longest
+    ]
     if len({(clip.style, clip.action) for clip in usable}) == len({clip.style for clip in usable}):
         raise InvalidInputError(f"{data} has no style with two labelled actions; nothing can be composed")
     measures: dict[str, list[tuple[float, float]]] = {}

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import tomllib
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -23,14 +23,38 @@ class DataConfig:
     max_frames: int = 196
     splices: int = 700
     """Synthetic clips of two actions at once; 0 for data without action labels."""
+    triples: int = 0
+    """Synthetic clips of three actions at once: legs, left arm and right arm."""
     sequences: int = 700
     """Synthetic clips of one action after another."""
     excerpts: int = 0
-    """Synthetic walks and runs of other lengths than the captured ones."""
+    """Synthetic clips of steady actions of other lengths than the captured ones."""
+    gesture_excerpts: int = 0
+    """Parts of 2 to 5 s of repeated gestures."""
+    padded: int = 0
+    """Short actions with standing before or after them."""
+    bent: int = 0
+    """Walks led around a circle, through a U-turn, or to a stop."""
+    gestures: int = 0
+    """Gestures made by inverse kinematics on people who stand."""
     paces: int = 0
     """Synthetic walks, runs and turns at other speeds than captured, with captions that say so."""
-    rare_weight: float = 3.0
-    """How many times more often the denoisers see clips of actions with few clips."""
+    wordings: int = 0
+    """Captions of the action table added to each captured clip of one action."""
+    draws: dict[str, float] = field(default_factory=dict)
+    """Share of the draws by what made a clip (`MotionClip.made_by`); the rest are recorded clips. Empty: as many as
+    there are of each."""
+    label_cap: float = 0.05
+    """Largest share of the draws of one action."""
+    label_power: float = 0.35
+    """Draws of an action in a style go by this power of its number of clips: below 1 rare ones come more often."""
+    often: list[str] = field(default_factory=list)
+    """Beginnings of labels that are drawn `often_weight` times as often: what people ask for and data seldom hold."""
+    often_weight: float = 3.0
+    verb_masking: bool = True
+    """Whether verbs are masked in some captions, which needs all of them to be encoded twice."""
+    hide_from: float = 0.0
+    """Share of the steps of the denoisers after which nodes are hidden and verbs masked."""
     seed: int = 7
     """Of the synthetic clips; apart from the seed of training, so that runs of several seeds share their data."""
 
@@ -52,6 +76,8 @@ class OptimiserConfig:
     weight_decay: float = 0.01
     clip: float = 1.0
     """Largest norm of the gradient."""
+    spectral_from: float = 0.0
+    """Share of the steps of the denoisers after which the spectral loss is added."""
 
 
 @dataclass(frozen=True)

@@ -14,10 +14,20 @@ from kinegraph.errors import InvalidInputError
 from kinegraph.motion.features import features_from_joints, normalisation
 from kinegraph_training.config import DataConfig
 from kinegraph_training.data.clips import MotionClip, mirrored_clip, read_split
-from kinegraph_training.synthetic.caption_grammar import step_count_captions
+from kinegraph_training.synthetic.caption_grammar import PHRASES, concept_caption, step_count_captions
 from kinegraph_training.synthetic.compositions import HeldOut, make_sequences, make_splices
-from kinegraph_training.synthetic.excerpts import make_excerpts, select_turning_styles
+from kinegraph_training.synthetic.excerpts import (
+    make_excerpts,
+    make_gesture_excerpts,
+    make_padded,
+    select_turning_styles,
+)
+from kinegraph_training.synthetic.gestures import make_gestures
+from kinegraph_training.synthetic.paths import make_bent
 from kinegraph_training.synthetic.time_scaling import make_time_scaled, time_scaled_copies
+
+STANDING = ("stand-still", "stand-idle")
+"""Actions of people who do nothing: what stands around short actions, and under made gestures."""
 
 
 class SeedStream(IntEnum):
@@ -29,6 +39,12 @@ class SeedStream(IntEnum):
     TIME_SCALED_COPIES = 3
     EXCERPTS = 4
     TIME_SCALED = 5
+    WORDINGS = 6
+    TRIPLES = 7
+    GESTURE_EXCERPTS = 8
+    PADDED = 9
+    BENT = 10
+    GESTURES = 11
 
 
 @dataclass(frozen=True)
@@ -66,26 +82,61 @@ def training_clips(
         InvalidInputError: compositions are asked for without `held_out`.
     """
     clips = [clip for clip in read_split(folder, "train") if len(clip.joints) >= config.min_frames]
-    labelled = [clip for clip in clips if clip.actions]
-    if labelled and (config.splices or config.sequences):
-        if held_out is None:
-            raise InvalidInputError(
-                "splices and sequences need --held-out FILE (pairs never to be made); or set both to 0 in [data]"
-            )
-        pairs = HeldOut.read(held_out)
-        compositions = make_splices(labelled, config.splices, pairs, config.seed + SeedStream.SPLICES)
-        compositions += make_sequences(
-            labelled, config.sequences, pairs, config.seed + SeedStream.SEQUENCES, config.max_frames
-        )
-        clips = add_step_counts(clips, config.seed + SeedStream.STEP_COUNTS) + compositions
-    turning = select_turning_styles(labelled)
-    excerpts = make_excerpts(turning, config.excerpts, config.seed + SeedStream.EXCERPTS, config.max_frames)
-    clips += excerpts + make_time_scaled(
-        turning + excerpts, config.paces, config.seed + SeedStream.TIME_SCALED, config.max_frames
-    )
+    recorded = [clip for clip in clips if clip.actions]
+    clips = add_wordings(add_step_counts(clips, config.seed + SeedStream.STEP_COUNTS), config)
+    clips += synthetic_clips(recorded, config, held_out)
     for other in more:
         clips += [clip for clip in read_split(other, "train") if len(clip.joints) >= config.min_frames]
     return clips + [mirrored_clip(clip) for clip in clips]
+
+
+def synthetic_clips(recorded: list[MotionClip], config: DataConfig, held_out: Path | None) -> list[MotionClip]:
+    """Make all synthetic clips that a configuration asks for, of labelled recorded ones.
+
+    Raises:
+        InvalidInputError: compositions are asked for without `held_out`.
+    """
+    if not recorded:
+        return []
+    seed, longest = config.seed, config.max_frames
+    standing = [clip for clip in recorded if clip.action in STANDING]
+    turning = select_turning_styles(recorded)
+    excerpts = make_excerpts(turning, config.excerpts, seed + SeedStream.EXCERPTS, longest)
+    made = [
+        *excerpts,
+        *make_time_scaled(turning + excerpts, config.paces, seed + SeedStream.TIME_SCALED, longest),
+        *make_gesture_excerpts(recorded, config.gesture_excerpts, seed + SeedStream.GESTURE_EXCERPTS),
+        *make_padded(recorded, standing, config.padded, seed + SeedStream.PADDED, longest),
+        *make_bent(recorded, standing, config.bent, seed + SeedStream.BENT),
+        *make_gestures(standing, config.gestures, seed + SeedStream.GESTURES),
+    ]
+    if config.splices or config.triples or config.sequences:
+        if held_out is None:
+            raise InvalidInputError(
+                "splices and sequences need --held-out FILE (pairs never to be made); or set them to 0 in [data]"
+            )
+        pairs = HeldOut.read(held_out)
+        # Recordings have most one-handed actions on one side; both sides are composed.
+        both = recorded + [mirrored_clip(clip) for clip in recorded]
+        made += make_splices(both, config.splices, pairs, seed + SeedStream.SPLICES)
+        made += make_splices(both, config.triples, pairs, seed + SeedStream.TRIPLES, actions=3)
+        made += make_sequences(both, config.sequences, pairs, seed + SeedStream.SEQUENCES, longest)
+    return [clip for clip in made if len(clip.joints) <= longest]
+
+
+def add_wordings(clips: list[MotionClip], config: DataConfig) -> list[MotionClip]:
+    """Add captions in the words of the action table to clips of one action."""
+    rng = np.random.Generator(np.random.PCG64(config.seed + SeedStream.WORDINGS))
+    return [
+        replace(
+            clip,
+            captions=clip.captions
+            + tuple(concept_caption(clip.action, clip.style, rng) for _ in range(config.wordings)),
+        )
+        if clip.action in PHRASES
+        else clip
+        for clip in clips
+    ]
 
 
 def add_step_counts(clips: list[MotionClip], seed: int) -> list[MotionClip]:
@@ -111,8 +162,13 @@ def training_set(
         held_out: see `training_clips`.
         more: see `training_clips`.
         paced: add a copy of every clip at a random speed (`time_scaled_copies`).
+
+    Raises:
+        InvalidInputError: see `training_clips`; or there are no clips.
     """
     clips = training_clips(folder, config, held_out, more)
+    if not clips:
+        raise InvalidInputError(f"{folder} has no clip of {config.min_frames} frames or more in its split train")
     if paced:
         clips += time_scaled_copies(clips, config, config.seed + SeedStream.TIME_SCALED_COPIES)
     features = [features_from_joints(clip.joints) for clip in clips]

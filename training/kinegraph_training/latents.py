@@ -13,6 +13,7 @@ import torch
 
 from kinegraph.arrays import FloatArray
 from kinegraph.bundle.contract import LEVELS
+from kinegraph_training.checkpoints import read_checkpoint
 from kinegraph_training.dataset import Dataset
 from kinegraph_training.models.vae import MotionVae, VaeConfig
 from kinegraph_training.vae_batches import pad_clips
@@ -34,7 +35,7 @@ class TrainedVae:
 
 def read_vae(checkpoint: Path) -> TrainedVae:
     """Read the averaged weights of a checkpoint that train_vae wrote."""
-    state = torch.load(checkpoint, map_location="cpu", weights_only=True)
+    state = read_checkpoint(checkpoint)
     vae = MotionVae(VaeConfig(**state["hyper_parameters"]["config"]))
     weights = state["state_dict"]
     vae.load_state_dict({name.removeprefix("vae."): w for name, w in weights.items() if name.startswith("vae.")})
@@ -99,7 +100,7 @@ def encode_levels(run: Path, dataset: Dataset, cache: Path) -> dict[str, Latents
     checkpoints = {level: run / f"vae_{level}" / "last.ckpt" for level in LEVELS}
     stamp = [*map(len, dataset.features), *(path.stat().st_mtime_ns for path in checkpoints.values())]
     if cache.is_file():
-        stored = torch.load(cache, weights_only=True)
+        stored = read_checkpoint(cache)
         if stored["stamp"] == stamp:
             return {level: standardise(*stored[level]) for level in LEVELS}
     posteriors = {level: encode_clips(read_vae(path), dataset) for level, path in checkpoints.items()}

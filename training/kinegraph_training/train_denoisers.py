@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import Any
 
 import lightning as L
+import numpy as np
 import torch
 from torch import Tensor
 from torch.utils.data import DataLoader, WeightedRandomSampler
@@ -26,7 +27,9 @@ from kinegraph.arrays import FloatArray
 from kinegraph.bundle.contract import KINDS, LEVELS, PADDING_BIAS
 from kinegraph.bundle.tables import BONE_LENGTHS, DURATION
 from kinegraph.diffusion.sampling import NoiseSchedule
+from kinegraph.errors import InvalidInputError
 from kinegraph_training.bundle_tables import common_bone_lengths, fit_duration, write_tables
+from kinegraph_training.checkpoints import fit
 from kinegraph_training.config import DataConfig, OptimiserConfig, Preset, read_preset
 from kinegraph_training.data.caption_cache import CaptionGraphs, CaptionStates, encode_graphs, encode_states
 from kinegraph_training.data.clips import MotionClip, read_jsonl
@@ -40,20 +43,27 @@ from kinegraph_training.models.hierarchy import Hierarchy
 from kinegraph_training.trainer import (
     add_common_arguments,
     configure_optimiser,
-    last_checkpoint,
     lightning_flags,
     load_start_weights,
     make_trainer,
 )
 
-RARE = 50
-"""Actions with fewer clips than this are rare; see `DataConfig.rare_weight`."""
 BATCHES_PER_EPOCH = 200
 
 
 def squared_error(predicted: Tensor, noise: Tensor) -> Tensor:
     """Compute |eps - eps'|^2 of (b, c, z), averaged per sample: (b,)."""
     return (predicted - noise).square().mean(dim=(1, 2))
+
+
+class HideLate(L.Callback):
+    """Callback that hides nodes of the graph, and verbs, only in the last part of a run."""
+
+    def __init__(self, batches: DenoiserBatches, first_step: float) -> None:
+        self.batches, self.first_step = batches, first_step
+
+    def on_train_batch_start(self, trainer: L.Trainer, module: L.LightningModule, batch: Any, index: int) -> None:
+        self.batches.hiding = trainer.global_step >= self.first_step
 
 
 class DenoiserModule(L.LightningModule):
@@ -128,6 +138,7 @@ class DenoiserModule(L.LightningModule):
         """
         nodes = self.hierarchy.encode(batch.graph)
         count = len(batch.frames)
+        spectral = self.global_step >= self.training_config.spectral_from * self.training_config.steps
         terms = {}
         for level in self.hierarchy.latents:
             part = (torch.randperm(count, generator=generator) + torch.rand(count, generator=generator)) / count
@@ -136,13 +147,13 @@ class DenoiserModule(L.LightningModule):
             predicted = self.predict_noise(level, nodes, batch, timestep, noise)
             terms[level] = squared_error(predicted, noise)
             clear = timestep < SPECTRAL_TIMESTEPS * len(self.alphas)
-            if self.spectral_loss is not None and level == LEVELS[-1] and clear.any():
+            if self.spectral_loss is not None and spectral and level == LEVELS[-1] and clear.any():
                 alpha = self.alphas[timestep[clear]][:, None, None]
                 target = batch.latents[level][clear]
                 clean = denoise(target, noise[clear], predicted[clear], alpha)
-                spectral = self.spectral_loss(clean, target, batch.frames[clear])
+                difference = self.spectral_loss(clean, target, batch.frames[clear])
                 # The mean over the clear samples stands for their share of the batch.
-                terms["swing"] = SPECTRAL_WEIGHT * SPECTRAL_TIMESTEPS * spectral
+                terms["swing"] = SPECTRAL_WEIGHT * SPECTRAL_TIMESTEPS * difference
         return terms
 
     def training_step(self, batch: DenoiserBatch, index: int) -> Tensor:
@@ -182,7 +193,7 @@ class EncodedCaptions:
 
     graphs: CaptionGraphs | CaptionStates
     masked: CaptionGraphs | None
-    """Captions of training with their verbs masked; None for a model without a graph."""
+    """Captions of training with their verbs masked; None for a model without a graph, or that masks none."""
 
 
 @dataclass(frozen=True)
@@ -198,10 +209,17 @@ def load_clips(arguments: argparse.Namespace, config: DataConfig) -> Splits:
     """Load captured and synthetic clips of training, and captured ones of validation."""
     everything = training_set(arguments.data, config, arguments.held_out, arguments.more)
     train = drop_long_clips(everything, config.max_frames)
+    dropped = len(everything.clips) - len(train.clips)
+    if not train.clips:
+        raise InvalidInputError(f"all clips of {arguments.data} are longer than {config.max_frames} frames; cut them")
+    if dropped:
+        print(f"left out: {dropped} of {len(everything.clips)} clips, longer than {config.max_frames} frames")
     return Splits(train, validation_set(arguments.data, "val", config, train.mean, train.std))
 
 
-def encode_captions(clips: Splits, condition: str, assets: Path, run: Path) -> EncodedCaptions:
+def encode_captions(
+    clips: Splits, condition: str, assets: Path, run: Path, *, verb_masking: bool = True
+) -> EncodedCaptions:
     """Encode all captions, or read them back from the run's caches.
 
     Args:
@@ -209,11 +227,17 @@ def encode_captions(clips: Splits, condition: str, assets: Path, run: Path) -> E
         condition: of `DenoiserConfig`.
         assets: folder of the text files.
         run: folder of the caches `captions.npz` and `captions_masked.npz`, or `states.npz`.
+        verb_masking: encode every caption with its verbs masked too.
     """
-    train, val = ([caption for clip in split.clips for caption in clip.captions] for split in (clips.train, clips.val))
+    train, val = (
+        [caption for clip in split.clips for caption in (*clip.captions, *clip.partial_captions)]
+        for split in (clips.train, clips.val)
+    )
     if condition == "tokens":
         return EncodedCaptions(encode_states(train + val, assets, run / "states.npz"), None)
     graphs = encode_graphs(train + val, assets, run / "captions.npz")
+    if not verb_masking:
+        return EncodedCaptions(graphs, None)
     return EncodedCaptions(graphs, encode_graphs(train, assets, run / "captions_masked.npz", verbs_masked=True))
 
 
@@ -221,7 +245,7 @@ def measure_tables(train: Dataset, graphs: CaptionGraphs | CaptionStates) -> dic
     """Measure the tables of the bundle on the clips of training: the duration model, and the length of the bones."""
     tables = {}
     if isinstance(graphs, CaptionGraphs):
-        usual = [clip for clip in train.clips if not clip.any_length]
+        usual = [clip for clip in train.clips if not clip.any_length] or train.clips
         samples = [(graphs.get(caption), len(clip.joints)) for clip in usual for caption in clip.captions]
         tables[DURATION] = fit_duration(samples)
     lengths = common_bone_lengths(clip.joints for clip in train.clips)
@@ -244,10 +268,29 @@ def encode_latents(clips: Splits, levels: Sequence[str], run: Path) -> EncodedCl
     return EncodedClips(train, val)
 
 
-def sampling_weights(clips: list[MotionClip], config: DataConfig) -> list[float]:
-    """Weight clips of rare actions more; compositions are as frequent as `DataConfig` asks for, and keep weight 1."""
-    counts = Counter(clip.actions for clip in clips)
-    return [config.rare_weight if len(clip.actions) <= 1 and counts[clip.actions] < RARE else 1.0 for clip in clips]
+def sampling_weights(clips: list[MotionClip], config: DataConfig) -> np.ndarray:
+    """Compute how often each clip is drawn, (clips,), by what made it and by what it shows.
+
+    What made a clip has the share of `DataConfig.draws`. Within it, an action in a style has a share by a power of its
+    number of clips, and no action has more than `label_cap`: what it has too much is shared by the others.
+    """
+    kinds = np.array([clip.made_by for clip in clips])
+    groups = Counter((clip.made_by, clip.action, clip.style) for clip in clips)
+    power = config.label_power - 1.0
+    weights = np.array([groups[clip.made_by, clip.action, clip.style] ** power for clip in clips])
+    often = tuple(config.often)
+    weights *= [config.often_weight if often and clip.action.startswith(often) else 1.0 for clip in clips]
+    shares = {kind: config.draws.get(kind, float(np.mean(kinds == kind))) for kind in set(kinds.tolist())}
+    shares[""] = max(1.0 - sum(share for kind, share in shares.items() if kind), 0.0)
+    for kind, share in shares.items():
+        of_kind = kinds == kind
+        weights[of_kind] *= share / max(weights[of_kind].sum(), 1e-12)
+    labels, index = np.unique([clip.action or clip.id for clip in clips], return_inverse=True)
+    for _ in range(10):  # capping one action lifts the others, which may pass the cap then
+        totals = np.bincount(index, weights, len(labels))
+        weights *= np.minimum(1.0, config.label_cap / totals.clip(min=1e-12))[index]
+        weights /= weights.sum()
+    return weights
 
 
 def make_loaders(
@@ -256,7 +299,7 @@ def make_loaders(
     """Make batches of training, drawn at random with dropout, and of validation, in order and without."""
     train, val, graphs = clips.train, clips.val, captions.graphs
     size = preset.denoiser_training.batch
-    sampler = WeightedRandomSampler(sampling_weights(train.clips, preset.data), BATCHES_PER_EPOCH * size)
+    sampler = WeightedRandomSampler(sampling_weights(train.clips, preset.data).tolist(), BATCHES_PER_EPOCH * size)
     collate = DenoiserBatches(train, latents.train, graphs, seed=preset.seed, augment=True, masked=captions.masked)
     collate_val = DenoiserBatches(val, latents.val, graphs, seed=preset.seed, augment=False)
     train_indices: Any = range(len(train.clips))
@@ -289,7 +332,9 @@ def main(argv: list[str] | None = None) -> None:
     L.seed_everything(preset.seed)
 
     clips = load_clips(arguments, preset.data)
-    captions = encode_captions(clips, preset.denoiser.condition, arguments.assets, run)
+    captions = encode_captions(
+        clips, preset.denoiser.condition, arguments.assets, run, verb_masking=preset.data.verb_masking
+    )
     write_bundle_tables(run, clips.train, captions)
     write_shown_captions(run, clips.train.clips, recorded=read_jsonl(arguments.data / "index.jsonl"))
     latents = encode_latents(clips, preset.denoiser.levels, run)
@@ -303,7 +348,9 @@ def main(argv: list[str] | None = None) -> None:
         load_start_weights(module.hierarchy, arguments.start_from, "hierarchy.")
     stage = run / "denoisers"
     trainer = make_trainer(stage, config, validate_every=min(500, config.steps), lightning=lightning_flags(lightning))
-    trainer.fit(module, train_batches, val_batches, ckpt_path=last_checkpoint(stage))
+    collate: Any = train_batches.collate_fn
+    trainer.callbacks.append(HideLate(collate, preset.data.hide_from * config.steps))  # type: ignore[attr-defined]
+    fit(trainer, module, train_batches, val_batches, stage)
 
 
 if __name__ == "__main__":

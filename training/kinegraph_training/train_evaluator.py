@@ -2,6 +2,8 @@
 
     python -m kinegraph_training.train_evaluator --data DATA/bandai --run runs/evaluator --assets assets
 
+    ... --leave-out     some takes of actions that have none in other splits (`data.left_out`) are not trained on
+
 The same command resumes a stopped run. Further flags are those of `lightning.Trainer`.
 """
 
@@ -9,6 +11,7 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -18,17 +21,20 @@ import torch
 from torch import Tensor, nn
 from torch.utils.data import DataLoader, WeightedRandomSampler
 
+from kinegraph.motion.features import features_from_joints, normalisation
+from kinegraph_training.checkpoints import fit
 from kinegraph_training.config import DataConfig, OptimiserConfig
 from kinegraph_training.data.caption_cache import CaptionStates, encode_states
-from kinegraph_training.data.clips import MotionClip
-from kinegraph_training.dataset import Dataset, cut_long_clips, training_set, validation_set
+from kinegraph_training.data.clips import MotionClip, mirrored_clip, read_jsonl, read_split
+from kinegraph_training.data.left_out import left_out_clips
+from kinegraph_training.dataset import Dataset, cut_long_clips, validation_set
 from kinegraph_training.metrics import label_groups, r_precision
 from kinegraph_training.models.evaluator import EvaluatorConfig, MotionEncoder, TextEncoder, contrastive_loss
-from kinegraph_training.trainer import configure_optimiser, last_checkpoint, lightning_flags, make_trainer
+from kinegraph_training.trainer import configure_optimiser, lightning_flags, make_trainer
 from kinegraph_training.vae_batches import pad_clips
 
-DATA = DataConfig(splices=0, sequences=0)
-"""Captured clips and their mirror images: the evaluator must not learn from synthetic ones."""
+DATA = DataConfig()
+"""Limits of the lengths of clips."""
 TRAINING = OptimiserConfig(steps=1500, learning_rate=5e-4, warmup=100, batch=128, ema=0.998)
 TEMPERATURE = 0.1
 SEED = 11
@@ -116,10 +122,23 @@ def make_collate(dataset: Dataset, states: CaptionStates, seed: int | None) -> C
     return collate
 
 
-def load_clips(data: Path) -> tuple[Dataset, Dataset]:
-    """Load the captured clips of training and of validation."""
-    train = cut_long_clips(training_set(data, DATA, None), DATA.max_frames)
-    return train, validation_set(data, "val", DATA, train.mean, train.std)
+def load_clips(data: Path, leave_out: bool = False) -> tuple[Dataset, Dataset]:
+    """Load the captured clips of training, with their mirror images, and those of validation.
+
+    The evaluator must not learn from synthetic clips.
+
+    Args:
+        data: data folder.
+        leave_out: do not train on the clips that `left_out_clips` chooses.
+    """
+    left_out = left_out_clips(read_jsonl(data / "index.jsonl")) if leave_out else {}
+    kept = (clip for clip in read_split(data, "train") if clip.id not in left_out)
+    clips = [clip for clip in kept if len(clip.joints) >= DATA.min_frames]
+    clips += [mirrored_clip(clip) for clip in clips]
+    features = [features_from_joints(clip.joints) for clip in clips]
+    mean, std = normalisation(features)
+    train = Dataset(clips, [(rows - mean) / std for rows in features], mean, std)
+    return cut_long_clips(train, DATA.max_frames), validation_set(data, "val", DATA, mean, std)
 
 
 def make_loaders(
@@ -145,18 +164,21 @@ def main(argv: list[str] | None = None) -> None:
     parser.add_argument("--run", type=Path, required=True, help="folder for checkpoint and curves")
     parser.add_argument("--assets", type=Path, required=True, help="folder with the text files (a bundle will do)")
     parser.add_argument("--threads", type=int, help="threads torch may use")
+    parser.add_argument("--leave-out", action="store_true", help="leave out takes of actions that have none elsewhere")
+    parser.add_argument("--steps", type=int, help=f"training steps ({TRAINING.steps})")
     arguments, lightning = parser.parse_known_args(argv)
     if arguments.threads:
         torch.set_num_threads(arguments.threads)
     L.seed_everything(SEED)
-    train, val = load_clips(arguments.data)
+    training = replace(TRAINING, steps=arguments.steps or TRAINING.steps)
+    train, val = load_clips(arguments.data, arguments.leave_out)
     captions = [caption for clip in train.clips + val.clips for caption in clip.captions]
     states = encode_states(captions, arguments.assets, arguments.run / "states.npz")
-    train_batches, val_batches = make_loaders(train, val, states, TRAINING)
-    module = EvaluatorModule(EvaluatorConfig(), TRAINING, train.mean.tolist(), train.std.tolist())
-    every = min(250, TRAINING.steps)
-    trainer = make_trainer(arguments.run, TRAINING, validate_every=every, lightning=lightning_flags(lightning))
-    trainer.fit(module, train_batches, val_batches, ckpt_path=last_checkpoint(arguments.run))
+    train_batches, val_batches = make_loaders(train, val, states, training)
+    module = EvaluatorModule(EvaluatorConfig(), training, train.mean.tolist(), train.std.tolist())
+    every = min(250, training.steps)
+    trainer = make_trainer(arguments.run, training, validate_every=every, lightning=lightning_flags(lightning))
+    fit(trainer, module, train_batches, val_batches, arguments.run)
 
 
 if __name__ == "__main__":

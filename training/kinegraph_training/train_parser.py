@@ -25,7 +25,13 @@ from kinegraph.errors import InvalidInputError
 from kinegraph.graph import ARGUMENT_ROLES, OTHERS
 from kinegraph.text.argument_classifier import CLASSES, pack_weights
 from kinegraph.text.parser import GraphParser, frame_candidates, predicate_frames
-from kinegraph_training.synthetic.caption_grammar import PHRASES, STYLE_PHRASES, sequence_caption, splice_caption
+from kinegraph_training.synthetic.caption_grammar import (
+    CAPTIONS,
+    PHRASES,
+    STYLE_PHRASES,
+    sequence_caption,
+    splice_caption,
+)
 
 PENALTY = 1.0
 """Coefficient of the L2 penalty."""
@@ -195,10 +201,10 @@ def sample_captions(path: Path, count: int) -> list[str]:
     except (OSError, ValueError, TypeError, KeyError) as error:
         raise InvalidInputError(f"{path} holds no captions: {error}") from error
     captions = [recorded[index] for index in rng.permutation(len(recorded))[:count]]
-    for _ in range(count // 24):  # eight captions each
+    for _ in range(count // (6 * CAPTIONS)):  # twice as many captions each
         first, second = (sorted(PHRASES)[index] for index in rng.choice(len(PHRASES), 2, replace=False))
         style = sorted(STYLE_PHRASES)[int(rng.integers(len(STYLE_PHRASES)))]
-        captions += [*sequence_caption(first, second, style, rng), *splice_caption(first, second, style, rng)]
+        captions += [*sequence_caption(first, second, style, rng), *splice_caption((first, second), style, rng)]
     return captions
 
 

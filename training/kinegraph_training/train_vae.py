@@ -21,6 +21,7 @@ from torch.utils.data import DataLoader
 
 from kinegraph.bundle.contract import LEVELS
 from kinegraph.errors import InvalidInputError
+from kinegraph_training.checkpoints import fit
 from kinegraph_training.config import OptimiserConfig, Preset, read_preset
 from kinegraph_training.dataset import Dataset, training_set, validation_set
 from kinegraph_training.losses import (
@@ -36,7 +37,6 @@ from kinegraph_training.models.vae import ENCODER_PARTS, MotionVae, VaeConfig
 from kinegraph_training.trainer import (
     add_common_arguments,
     configure_optimiser,
-    last_checkpoint,
     lightning_flags,
     load_start_weights,
     make_trainer,
@@ -182,7 +182,7 @@ def main(argv: list[str] | None = None) -> None:
     run = arguments.run / f"vae_{arguments.level}"
     trainer = make_trainer(run, config, validate_every=min(1000, config.steps), lightning=lightning_flags(lightning))
     train_batches, val_batches = make_loaders(train, val, preset, arguments.level)
-    trainer.fit(module, train_batches, val_batches, ckpt_path=last_checkpoint(run))
+    fit(trainer, module, train_batches, val_batches, run)
 
 
 if __name__ == "__main__":

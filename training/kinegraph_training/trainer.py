@@ -16,10 +16,14 @@ from lightning.pytorch.loggers import CSVLogger
 from torch import nn
 
 from kinegraph.errors import InvalidInputError
+from kinegraph_training.checkpoints import read_checkpoint
 from kinegraph_training.config import OptimiserConfig
 
-TOKEN_PARAMETERS = frozenset(("query", "latent_position", "position"))
+TOKEN_PARAMETERS = frozenset(("query", "latent_position", "position", "coarse_position"))
 """Last name of the parameters (tokens, width) that hold one row per latent token."""
+NEW_LAYERS = ".mixing."
+KIND_EMBEDDING = ".kind.weight"
+"""Parts of the denoisers' parameter names that older checkpoints lack, or have fewer rows of."""
 FINAL_RATE = 0.02
 """Learning rate at the end of a run, as a share of its peak."""
 
@@ -202,7 +206,9 @@ def load_start_weights(module: nn.Module, checkpoint: Path, prefix: str) -> None
     """Load the weights that another run's checkpoint holds under names beginning with `prefix`.
 
     A module whose latent has a multiple of the checkpoint's tokens starts with each token repeated: token k stands for
-    the k-th part of a clip, so the two halves of that part start from the token of the whole.
+    the k-th part of a clip, so the two halves of that part start from the token of the whole. Layers among context
+    tokens and kinds of tokens that the checkpoint does not know start as a new module has them: the layers change
+    nothing at first.
 
     Args:
         module: receives the weights.
@@ -214,11 +220,15 @@ def load_start_weights(module: nn.Module, checkpoint: Path, prefix: str) -> None
     """
     if not checkpoint.is_file():
         raise InvalidInputError(f"--start-from {checkpoint}: there is no such file")
-    weights = torch.load(checkpoint, map_location="cpu", weights_only=True)["state_dict"]
+    weights = read_checkpoint(checkpoint)["state_dict"]
     state = {name.removeprefix(prefix): value for name, value in weights.items() if name.startswith(prefix)}
     for name, value in module.state_dict().items():
         if name.split(".")[-1] in TOKEN_PARAMETERS and name in state:
             state[name] = repeat_rows(state[name], len(value))
+        elif NEW_LAYERS in name:
+            state.setdefault(name, value)
+        elif name.endswith(KIND_EMBEDDING) and name in state:
+            state[name] = torch.cat([state[name], value[len(state[name]) :]])
     try:
         module.load_state_dict(state)
     except RuntimeError as error:
@@ -228,12 +238,6 @@ def load_start_weights(module: nn.Module, checkpoint: Path, prefix: str) -> None
 def repeat_rows(rows: torch.Tensor, count: int) -> torch.Tensor:
     """Repeat each row of (n, d) count / n times to (count, d); return them unchanged if n does not divide count."""
     return rows if count % len(rows) else rows.repeat_interleave(count // len(rows), dim=0)
-
-
-def last_checkpoint(run: Path) -> str | None:
-    """Return the checkpoint to resume from, if the run was started before."""
-    path = run / "last.ckpt"
-    return str(path) if path.is_file() else None
 
 
 def add_common_arguments(parser: argparse.ArgumentParser) -> None:

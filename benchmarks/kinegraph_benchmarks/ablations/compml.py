@@ -107,7 +107,7 @@ def main() -> int:
     parser = benchmark_parser(__doc__)
     add_arguments(parser, "data", "held_out", "out", repeats=3)
     parser.add_argument("--start", type=Path, required=True, help="run with autoencoders, denoisers and tables.npz")
-    parser.add_argument("--bundle", type=Path, help="bundle that composes; the default bundle without it")
+    parser.add_argument("--bundle", help="bundle that composes; the default bundle without it")
     parser.add_argument("--preset", default="edge", help="preset of --start")
     parser.add_argument("--work", type=Path, required=True, help="folder of the runs")
     parser.add_argument("--count", type=int, default=300, help="composed clips")

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from kinegraph.bundle.reader import DEFAULT_BUNDLE
+from kinegraph.bundle.reader import text_files_folder
 
 COLUMNS = ("r_precision_1", "fid", "mm_dist", "behaviour", "content", "style", "claims_degrees", "foot_skate", "jerk")
 
@@ -39,7 +39,7 @@ def train(run: Path, options: argparse.Namespace, extra_arguments: Sequence[str]
         return
     command = [sys.executable, "-m", "kinegraph_training.train_denoisers", "--data", str(options.data)]
     command += ["--held-out", str(options.held_out), "--run", str(run), "--preset", str(run / "preset.toml")]
-    command += ["--assets", str(DEFAULT_BUNDLE), *extra_arguments]
+    command += ["--assets", str(text_files_folder()), *extra_arguments]
     subprocess.run(command, check=True)
     finished.write_text(str(options.steps))
 

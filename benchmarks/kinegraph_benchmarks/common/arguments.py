@@ -12,11 +12,11 @@ ARGUMENTS: dict[str, dict[str, Any]] = {
     "held_out": {"required": True, "help": "held_out_pairs.json: pairs of actions that training never joined"},
     "run": {"required": True, "help": "training run with the three autoencoders"},
     "autoencoders": {"required": True, "help": "training run whose autoencoders and caches are shared"},
-    "bundle": {"help": "folder of a bundle; the default bundle without it"},
+    "bundle": {"type": str, "help": "an installed bundle or the folder of one; the default bundle without it"},
     "work": {"default": Path("evaluation"), "help": "folder that keeps generated clips, so that a stopped run goes on"},
     "out": {"required": True, "help": "JSON file; a .md file is written beside it"},
 }
-"""Keyword arguments of `add_argument` by name; every one is a path."""
+"""Keyword arguments of `add_argument` by name; each is a path unless it says otherwise."""
 
 
 def benchmark_parser(doc: str | None) -> argparse.ArgumentParser:
@@ -50,4 +50,4 @@ def add_arguments(
         parser.add_argument("--quick", action="store_true", help=f"{quick}: does it run?")
     for name in names:
         settings = ARGUMENTS[name] | ({"required": False} if name in optional else {})
-        parser.add_argument(f"--{name.replace('_', '-')}", type=Path, **settings)
+        parser.add_argument(f"--{name.replace('_', '-')}", **{"type": Path, **settings})

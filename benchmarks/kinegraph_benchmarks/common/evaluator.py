@@ -16,7 +16,7 @@ import numpy as np
 import onnxruntime
 
 from kinegraph.arrays import FloatArray
-from kinegraph.bundle.reader import DEFAULT_BUNDLE
+from kinegraph.bundle.reader import text_files_folder
 from kinegraph.errors import BundleIntegrityError
 from kinegraph.motion.features import features_from_joints
 from kinegraph.text.tokenizer import CaptionTokenizer
@@ -31,13 +31,13 @@ class Evaluator:
 
     Args:
         folder: motion.onnx, text.onnx and evaluator.json with their SHA-256.
-        text_files: bundle that has the tokenizer and the text encoder.
+        text_files: folder of the tokenizer and the text encoder; None takes those of installed bundles.
 
     Raises:
         BundleIntegrityError: a graph is not the one that evaluator.json names.
     """
 
-    def __init__(self, folder: Path = FOLDER, text_files: Path = DEFAULT_BUNDLE) -> None:
+    def __init__(self, folder: Path = FOLDER, text_files: Path | None = None) -> None:
         card = json.loads((folder / "evaluator.json").read_text(encoding="utf-8"))
         files = {name: (folder / name).read_bytes() for name in card["sha256"]}
         for name, data in files.items():
@@ -47,6 +47,7 @@ class Evaluator:
         self._mean, self._std = (np.array(card[name], dtype=np.float32) for name in ("mean", "std"))
         self._frames_per_token: int = card["frames_per_token"]
         self._motion_encoder, self._text_encoder = (_open_session(files[name]) for name in ("motion.onnx", "text.onnx"))
+        text_files = text_files or text_files_folder()
         self._word_encoder = _open_session((text_files / "text_encoder.onnx").read_bytes())
         self._tokenizer = CaptionTokenizer((text_files / "tokenizer.json").read_bytes())
 

@@ -6,6 +6,7 @@ evaluator. The model is a ridge regression onto one-hot labels, solved in closed
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 from operator import attrgetter
 
@@ -38,18 +39,26 @@ def movement_statistics(joints: FloatArray) -> NDArray[np.float64]:
 
 
 class LabelClassifier:
-    """Classifier of the two labels of a clip, "content" (its action) and "style", trained on labelled clips."""
+    """Classifier of the two labels of a clip, "content" (its action) and "style", trained on labelled clips.
 
-    def __init__(self, clips: Sequence[MotionClip]) -> None:
+    Args:
+        clips: labelled.
+        balance: a clip counts 1 / (clips of its action) ** balance; 0 counts all alike, and rare actions little.
+    """
+
+    def __init__(self, clips: Sequence[MotionClip], balance: float = 0.0) -> None:
         rows = np.stack([movement_statistics(clip.joints) for clip in clips])
         self._mean, self._std = rows.mean(0), rows.std(0) + 1e-3
         self.labels = {name: sorted({label_of(clip) for clip in clips}) for name, label_of in LABELS.items()}
         design = self._design_matrix(rows)
-        gram = design.T @ design + PENALTY * np.eye(design.shape[1])
+        counts = Counter(clip.action for clip in clips)
+        weight = np.array([float(counts[clip.action]) ** -balance for clip in clips])
+        weighted = design * (weight / weight.mean())[:, None]
+        gram = weighted.T @ design + PENALTY * np.eye(design.shape[1])
         self._weights = {}
         for name, labels in self.labels.items():
             target = np.array([[LABELS[name](clip) == label for label in labels] for clip in clips], dtype=float)
-            self._weights[name] = np.linalg.solve(gram, design.T @ target)
+            self._weights[name] = np.linalg.solve(gram, weighted.T @ target)
 
     def __call__(self, motions: Sequence[FloatArray], name: str) -> list[str]:
         """Recognise the "content" or the "style" of each motion."""

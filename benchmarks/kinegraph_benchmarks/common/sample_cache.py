@@ -42,13 +42,18 @@ class BundleModel:
     """A bundle sampled by the runtime.
 
     Args:
-        folder: of the bundle; None for the default bundle.
+        folder: of the bundle, or a bundle that is loaded, whose sessions are shared; None for the default bundle.
         spacing: replaces the bundle's spacing of timesteps.
         base: replaces the condition that the bundle's guidance leads away from.
     """
 
-    def __init__(self, folder: Path | None, spacing: Spacing | None = None, base: GuidanceBase | None = None) -> None:
-        bundled = MotionPipeline.load(folder)
+    def __init__(
+        self,
+        folder: str | Path | MotionPipeline | None,
+        spacing: Spacing | None = None,
+        base: GuidanceBase | None = None,
+    ) -> None:
+        bundled = folder if isinstance(folder, MotionPipeline) else MotionPipeline.load(folder)
         manifest = replace(
             bundled.manifest,
             schedule=replace(bundled.manifest.schedule, spacing=spacing or bundled.manifest.schedule.spacing),
@@ -63,6 +68,7 @@ class BundleModel:
         ]
         self.stamp = hashlib.sha256("".join(parts).encode()).hexdigest()
         self.fps, self.seconds_limits = manifest.fps, manifest.seconds_limits
+        self.pipe = pipe
         self.generate = pipe.generate
 
 

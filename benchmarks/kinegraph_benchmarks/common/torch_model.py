@@ -13,7 +13,7 @@ import torch
 
 from kinegraph.arrays import FloatArray
 from kinegraph.bundle.contract import LEVELS
-from kinegraph.bundle.reader import DEFAULT_BUNDLE
+from kinegraph.bundle.reader import text_files_folder
 from kinegraph.bundle.tables import bones_of
 from kinegraph.conditioning import GraphArrays
 from kinegraph.diffusion.sampling import LevelPlan, initial_noise
@@ -45,18 +45,18 @@ class TorchModel:
 
     Args:
         run: folder with checkpoints and tables.npz.
-        text_files: bundle that has the tokenizer, the text encoder and the parser.
+        text_files: folder of the tokenizer, the text encoder and the parser; None takes those of installed bundles.
     """
 
     fps = FPS
     seconds_limits = (16 / FPS, 196 / FPS)
 
-    def __init__(self, run: Path, text_files: Path = DEFAULT_BUNDLE) -> None:
+    def __init__(self, run: Path, text_files: Path | None = None) -> None:
         self.name = run.name
         checkpoint = run / "denoisers" / "last.ckpt"
         self.stamp = hashlib.sha256(checkpoint.read_bytes()).hexdigest()
         self._trained, self._vae = read_run(run)
-        self._encoder = CaptionEncoder(text_files)
+        self._encoder = CaptionEncoder(text_files or text_files_folder())
         self._config = self._trained.hierarchy.config
         self._bones = bones_of(read_tables(run))
 

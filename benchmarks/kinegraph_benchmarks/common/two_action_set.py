@@ -123,7 +123,7 @@ def join_clips(
     """Join two clips into one; None if that would be longer than `MAX_FRAMES`."""
     actions = (first.action, second.action)
     if kind == "together":
-        joints, captions = splice(first, second, rng), splice_caption(*actions, first.style, rng)
+        joints, captions = splice(first.joints, second, rng), splice_caption(actions, first.style, rng)
         never_joined = frozenset(actions) in held_out.together
     else:
         joints, captions = stitch_clips(first.joints, second.joints), sequence_caption(*actions, first.style, rng)

@@ -9,7 +9,7 @@ deviation over seeds at weight 1 or more. Writes JSON, and a Markdown table besi
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -101,25 +101,32 @@ def spearman(first: NDArray[np.float64], second: NDArray[np.float64]) -> float:
     return float(np.corrcoef(first_ranks, second_ranks)[0, 1])
 
 
-def judge_curve(values: NDArray[np.float64], sense: int) -> dict[str, Any]:
-    """Judge a curve: its means, how monotone it is, how far it moves, and whether it is met.
+def judge_weights(values: NDArray[np.float64], sense: int, weights: Sequence[float], spread: float) -> dict[str, Any]:
+    """Judge a curve: its means, how monotone it is, and how far it moves.
 
     Args:
         values: (weights, seeds).
         sense: +1 if it should rise, -1 if it should fall.
+        weights: in rising order.
+        spread: standard deviation over seeds.
+
+    Returns:
+        `mean` by weight, `spread`, `spearman`, and `moved`: the way from first to last weight, in spreads.
     """
     mean = values.mean(axis=1)
-    spread = float(values[WEIGHTS.index(1.0)].std(ddof=1))
-    order = sense * spearman(np.array(WEIGHTS), mean)
     way = sense * float(mean[-1] - mean[0])
-    moved = way / spread if spread > 0 else 0.0
     return {
         "mean": mean.tolist(),
         "spread": spread,
-        "spearman": order,
-        "moved": moved,
-        "met": order >= MONOTONE and moved >= MOVED,
+        "spearman": sense * spearman(np.array(weights), mean),
+        "moved": way / spread if spread > 0 else 0.0,
     }
+
+
+def judge_curve(values: NDArray[np.float64], sense: int) -> dict[str, Any]:
+    """Judge a curve over `WEIGHTS` (`judge_weights`), and whether it is met."""
+    judged = judge_weights(values, sense, WEIGHTS, float(values[WEIGHTS.index(1.0)].std(ddof=1)))
+    return {**judged, "met": judged["spearman"] >= MONOTONE and judged["moved"] >= MOVED}
 
 
 def measure_curve(pipe: MotionPipeline, curve: Curve, seeds: int, seconds: float) -> dict[str, Any]:

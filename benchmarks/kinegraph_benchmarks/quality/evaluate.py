@@ -59,7 +59,7 @@ KINDS: tuple[Kind, ...] = ("in_order", "together")
 class Plan:
     """What is evaluated, and how often."""
 
-    bundle: Path | None
+    bundle: str | Path | None
     """Folder; None for the default bundle."""
     run: Path | None
     """A training run to sample in torch, instead of a bundle."""

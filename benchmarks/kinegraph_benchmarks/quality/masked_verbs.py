@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from kinegraph.arrays import FloatArray
-from kinegraph.bundle.reader import DEFAULT_BUNDLE
+from kinegraph.bundle.reader import text_files_folder
 from kinegraph.text.parser import GraphParser, read_parser
 from kinegraph_benchmarks.common import predicates as p
 from kinegraph_benchmarks.common.arguments import add_arguments, benchmark_parser
@@ -90,7 +90,7 @@ def main() -> None:
     parser.add_argument("--run", type=Path, help="a training run instead of a bundle, sampled in torch")
     options = parser.parse_args()
     plan = Plan(options.bundle, options.run, options.data, options.work, None, options.repeats, {})
-    result = measure_masking(plan, read_parser(DEFAULT_BUNDLE))
+    result = measure_masking(plan, read_parser(text_files_folder()))
     write_report(options.out, result, markdown_table(result))
 
 

@@ -27,7 +27,7 @@ from typing import Any
 
 import torch
 
-from kinegraph.bundle.reader import DEFAULT_BUNDLE
+from kinegraph.bundle.reader import text_files_folder
 from kinegraph.text.argument_classifier import pack_weights
 from kinegraph.text.parser import GraphParser
 from kinegraph_benchmarks.common.arguments import add_arguments, benchmark_parser
@@ -234,7 +234,7 @@ def main() -> int:
     parser.add_argument("--gold", type=Path, required=True, help="gold graphs, JSON lines")
     parser.add_argument("--scorer", type=Path, help="score_graphs.py; the one beside the gold without it")
     parser.add_argument("--captions", type=Path, required=True, help="captions.jsonl of the motion")
-    parser.add_argument("--parser", type=Path, default=DEFAULT_BUNDLE / "parser.bin", help="the spaCy pipeline")
+    parser.add_argument("--parser", type=Path, default=text_files_folder() / "parser.bin", help="the pipeline")
     parser.add_argument("--folds", type=int, default=5, help="of the cross-validation (5)")
     parser.add_argument("--seed", type=int, default=0, help="of the folds")
     parser.add_argument(

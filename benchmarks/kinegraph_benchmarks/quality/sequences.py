@@ -163,7 +163,7 @@ def measure_sequence(
     }
 
 
-def measure_memory(bundle: Path | None) -> list[dict[str, float]]:
+def measure_memory(bundle: str | Path | None) -> list[dict[str, float]]:
     """Measure memory after sequences of `MEMORY_PARTS` parts, one after another in one fresh process."""
     words = [sys.executable, "-c", MEMORY_SCRIPT, str(bundle or ""), "1", *map(str, MEMORY_PARTS)]
     lines = subprocess.run(words, capture_output=True, text=True, check=True).stdout.split("\n")

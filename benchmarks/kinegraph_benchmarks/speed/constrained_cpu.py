@@ -52,7 +52,7 @@ def quarter_core_group() -> Iterator[Path | None]:
         group.rmdir()
 
 
-def bench_on_one_core(bundle: Path | None, repeats: int, group: Path | None) -> dict[str, Any]:
+def bench_on_one_core(bundle: str | Path | None, repeats: int, group: Path | None) -> dict[str, Any]:
     """Run `kinegraph bench` on one core, as a member of a control group if there is one, and read its report."""
     core = min(os.sched_getaffinity(0))
 

@@ -52,7 +52,7 @@ print(json.dumps({"times_ms": [round(t, 3) for t in times[3:]], "idle_cpu": time
 """
 
 
-def measure_setting(setting: str, repeats: int, bundle: Path | None) -> dict[str, Any]:
+def measure_setting(setting: str, repeats: int, bundle: str | Path | None) -> dict[str, Any]:
     """Measure one setting in a fresh process: times of every repeat, ms, and CPU use while asleep."""
     threads = None if setting == "default" else int(setting.split()[0])
     spinning = setting.split()[2] if setting.endswith("spinning") else None

@@ -37,7 +37,7 @@ def press(page: Page, text: str) -> dict[str, float]:
     return {name: float(value.removesuffix(" ms")) for name, value in zip(names, values, strict=True)}
 
 
-def measure_waits(repeats: int, threads: int | None, bundle: Path | None) -> dict[str, Any]:
+def measure_waits(repeats: int, threads: int | None, bundle: str | Path | None) -> dict[str, Any]:
     """Measure the first press and all others on one page of one server; milliseconds."""
     command = [sys.executable, "-m", "kinegraph", "play", "--port", "0", "--no-browser"]
     command += [] if threads is None else ["--threads", str(threads)]

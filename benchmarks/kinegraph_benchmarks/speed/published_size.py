@@ -17,7 +17,7 @@ import torch
 from torch import Tensor, nn
 
 from kinegraph.arrays import FloatArray
-from kinegraph.bundle.contract import LEVELS, NODE_KINDS, NULL_KIND, GraphContract, LevelSpec
+from kinegraph.bundle.contract import LEVELS, NULL_KIND, GraphContract, LevelSpec, contracts
 from kinegraph.bundle.manifest import Manifest
 from kinegraph.bundle.reader import read_bundle
 from kinegraph.bundle.sessions import open_session, session_options
@@ -61,7 +61,7 @@ class SamplingTask:
     @property
     def contracts(self) -> dict[str, GraphContract]:
         """Contracts of our graphs, by name."""
-        return self.manifest.contracts
+        return contracts(self.manifest.levels, self.manifest.text.width, len(self.manifest.features.mean))
 
 
 def paper_task(graph: SemanticGraph, options: GenerateOptions, copies: int = 1) -> SamplingTask:
@@ -76,9 +76,7 @@ def paper_task(graph: SemanticGraph, options: GenerateOptions, copies: int = 1) 
     config = preset.denoiser
     shapes = latent_shapes()
     levels = {
-        name: LevelSpec(
-            shape.tokens, shape.width, config.width, config.heads, config.layers, NODE_KINDS[: config.kinds_seen(name)]
-        )
+        name: LevelSpec(shape.tokens, shape.width, config.width, config.heads, config.layers, config.kinds_seen(name))
         for name, shape in shapes.items()
     }
     _, _, kind, order, path = graph_structure(graph)
@@ -122,7 +120,7 @@ class WholeLevel(nn.Module):
         bias: Tensor,
         coarse: Tensor | None = None,
     ) -> Tensor:
-        context = self.denoiser.context(nodes, kind, order, coarse)
+        context = self.denoiser.context(nodes, kind, order, bias, coarse)
         return self.denoiser.step(latent, self.denoiser.clock(timestep, frames), context, bias[:, None, None, :])
 
 
@@ -200,8 +198,8 @@ def export_graphs(model: Hierarchy, task: SamplingTask, precision: Precision) ->
     graphs: dict[str, bytes] = {}
     for level, denoiser in model.levels.items():
         context = MotionContextGraph if level == LEVELS[0] else ContextGraph
-        modules = {"context": context(denoiser.context), "clock": ModulationGraph(denoiser.clock)}
-        for part, module in {**modules, "step": DenoiserGraph(denoiser.step)}.items():
+        modules = {"context": context(denoiser.context), "modulation": ModulationGraph(denoiser.clock)}
+        for part, module in {**modules, "denoiser": DenoiserGraph(denoiser.step)}.items():
             name = f"{part}_{level}"
             graphs[name], _ = export_graph(module.eval(), task.contracts[name], FRAMES_PER_TOKEN, precision)
     return graphs
@@ -209,7 +207,7 @@ def export_graphs(model: Hierarchy, task: SamplingTask, precision: Precision) ->
 
 def make_sampler(graphs: dict[str, bytes], task: SamplingTask, threads: int) -> LatentSampler:
     """Make the runtime's own sampler around exported graphs."""
-    sessions: dict[str, dict[str, Any]] = {"context": {}, "clock": {}, "step": {}}
+    sessions: dict[str, dict[str, Any]] = {"context": {}, "modulation": {}, "denoiser": {}}
     for name, data in graphs.items():
         part, _, level = name.partition("_")
         sessions[part][level] = open_session(data, task.contracts[name], session_options(threads))

@@ -115,7 +115,7 @@ def random_level(config: OfficialDenoiserConfig, name: str, kinds: int, coarse: 
 
 def session_arm(level: Level, precision: Precision, threads: int) -> tuple[Arm, int]:
     """Export a level's step graph, and make the call of one step; returns it and the bytes of the graph."""
-    contract = level.contracts[f"step_{level.name}"]
+    contract = level.contracts[f"denoiser_{level.name}"]
     data, _ = export_graph(level.denoiser, contract, precision)
     session = open_session(data, contract, session_options(threads))
     with torch.no_grad():

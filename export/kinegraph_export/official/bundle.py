@@ -15,9 +15,8 @@ import torch
 
 import kinegraph
 from kinegraph.arrays import FloatArray
-from kinegraph.bundle.contract import Family, levels_of
+from kinegraph.bundle.contract import FORMAT_VERSION, Family, levels_of
 from kinegraph.bundle.manifest import (
-    FORMAT_VERSION,
     Defaults,
     FeatureSpec,
     FrameSpec,

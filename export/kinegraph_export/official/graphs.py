@@ -101,7 +101,7 @@ class CoarsestConditionGraph(ConditionGraph):
 
 
 class TimeGraph(nn.Module):
-    """Graph clock_{level}: timesteps -> time tokens."""
+    """Graph modulation_{level}: timesteps -> time tokens."""
 
     def __init__(self, denoiser: OfficialDenoiser) -> None:
         super().__init__()
@@ -173,7 +173,7 @@ def graph_modules(models: GraphMotionModels | MldModels) -> dict[str, nn.Module]
 
 def _level_modules(level: str, denoiser: OfficialDenoiser, is_coarsest: bool) -> dict[str, nn.Module]:
     condition = (CoarsestConditionGraph if is_coarsest else ConditionGraph)(denoiser)
-    return {f"context_{level}": condition, f"clock_{level}": TimeGraph(denoiser), f"step_{level}": denoiser}
+    return {f"context_{level}": condition, f"modulation_{level}": TimeGraph(denoiser), f"denoiser_{level}": denoiser}
 
 
 def draw_inputs(contract: GraphContract) -> InputGenerator:
@@ -215,7 +215,7 @@ def export_graph(module: nn.Module, contract: GraphContract, precision: Precisio
     data = serialise(model)
     parity = {contract.name: max_difference(data, module, contract, draw)}
     if precision == "int8":
-        if contract.name.startswith("step_"):
+        if contract.name.startswith("denoiser_"):
             model = strip_metadata(optimise_graph(quantise_dynamic(model)))
         data = serialise(store_float16(model))
         parity[f"int8_{contract.name}"] = relative_error(data, module, contract, draw)

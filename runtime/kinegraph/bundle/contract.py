@@ -8,17 +8,25 @@ An axis is a number where the bundle fixes its size and a name where the size is
 A latent row is one noise prediction (unconditional, one concept, ...). In attention row `a` the latent row `src[a]`
 attends to a context of its own, and `combine` mixes the attention outputs back into latent rows.
 
-The files of format 3 are named by older words: `clock_*` holds the AdaLN modulation of a level, `step_*` its denoiser.
+Bundles of format 3 and 2 name two files of a level by older words, `clock_*` for its modulation and `step_*` for its
+denoiser, and their context encoders take no `bias`: each context token is encoded by itself.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final, Literal, Protocol
 
 from kinegraph.errors import BundleFormatError
 from kinegraph.graph import ROLES
+
+FORMAT_VERSION: Final = 4
+"""Version of the format that is written; `OLDEST_VERSION` on are read."""
+OLDEST_VERSION: Final = 2
+"""Format 2 has no coarse decoders and no graphs of adaptive gradient descent."""
+CONTEXT_MIXING_VERSION: Final = 4
+"""First format whose context tokens attend to one another, and that knows words and partial captions."""
 
 LEVELS: Final[tuple[str, ...]] = ("motion", "action", "specific")
 """Coarse to fine; a level sees the final latent of the one before it."""
@@ -27,7 +35,7 @@ COARSE_DECODERS: Final[Mapping[str, str]] = {level: f"decoder_{level}" for level
 """Level -> graph that decodes its latent for a preview; optional."""
 
 AGD_CONTEXTS: Final[Mapping[str, str]] = {level: f"context_{level}_agd" for level in LEVELS}
-AGD_DENOISERS: Final[Mapping[str, str]] = {level: f"step_{level}_agd" for level in LEVELS}
+AGD_DENOISERS: Final[Mapping[str, str]] = {level: f"denoiser_{level}_agd" for level in LEVELS}
 """Level -> denoiser with adaptive gradient descent (EnergyMoGen, Eq. 3, 4); a bundle has all `*_agd` graphs or none."""
 
 KINDS: Final[Mapping[str, int]] = {"motion": 0, "action": 1, "specific": 2, "null": 3, "word": 4, "partial": 5}
@@ -84,7 +92,7 @@ class LevelSpec:
     layers: int
     """Layers, each with cross-attention to one key and one value."""
     nodes: tuple[str, ...]
-    """Kinds of graph nodes that the level attends to, of `NODE_KINDS`."""
+    """Kinds of context tokens that the level attends to besides the learned ones, of `NODE_KINDS`."""
 
     @property
     def modulations(self) -> int:
@@ -104,17 +112,30 @@ class TensorSpec:
 
 @dataclass(frozen=True)
 class GraphContract:
-    """Signature of one ONNX graph, stored as `{name}.onnx`."""
+    """Signature of one ONNX graph."""
 
     name: str
     inputs: tuple[TensorSpec, ...]
     outputs: tuple[TensorSpec, ...]
     tolerance: float = TOLERANCE
+    version: int = FORMAT_VERSION
+    """Format of the bundle."""
 
     @property
     def file(self) -> str:
         """Name of the graph's file in a bundle."""
-        return f"{self.name}.onnx"
+        return graph_file(self.name, self.version)
+
+
+_OLDER_NAMES: Final[Mapping[str, str]] = {"modulation": "clock", "denoiser": "step"}
+
+
+def graph_file(name: str, version: int = FORMAT_VERSION) -> str:
+    """Name the file of a graph in a bundle of a format version."""
+    part, _, level = name.partition("_")
+    if version < CONTEXT_MIXING_VERSION and part in _OLDER_NAMES:
+        return f"{_OLDER_NAMES[part]}_{level}.onnx"
+    return f"{name}.onnx"
 
 
 def text_encoder(text_width: int) -> GraphContract:
@@ -154,35 +175,50 @@ def _keys_values(level: LevelSpec, rows: str) -> tuple[TensorSpec, ...]:
     return tuple(TensorSpec(f"{kind}_{layer}", axes) for layer in range(level.layers) for kind in ("key", "value"))
 
 
-def _context_inputs(text_width: int, coarse: LevelSpec | None) -> tuple[TensorSpec, ...]:
-    nodes = (
+def _context_inputs(text_width: int, coarse: LevelSpec | None, version: int) -> tuple[TensorSpec, ...]:
+    inputs = [
         TensorSpec("nodes", ("B", "N", text_width)),
         TensorSpec("kind", ("B", "N"), INT),
         TensorSpec("order", ("B", "N"), INT),
-    )
-    return nodes if coarse is None else (*nodes, TensorSpec("coarse", ("B", coarse.tokens, coarse.latent_width)))
+    ]
+    if version >= CONTEXT_MIXING_VERSION:
+        # Without a coarser latent the context tokens are the nodes.
+        inputs.append(TensorSpec("bias", ("B", "N" if coarse is None else "S")))
+    if coarse is not None:
+        inputs.append(TensorSpec("coarse", ("B", coarse.tokens, coarse.latent_width)))
+    return tuple(inputs)
 
 
-def context(name: str, level: LevelSpec, text_width: int, coarse: LevelSpec | None) -> GraphContract:
+def context(
+    name: str, level: LevelSpec, text_width: int, coarse: LevelSpec | None, version: int = FORMAT_VERSION
+) -> GraphContract:
     """Declare the context encoder of one level: keys and values for cross-attention, computed once per sample.
+
+    The context tokens attend to one another first. `bias` is added to the logits, as in `denoiser`: the log path weight
+    of each token, `PADDING_BIAS` on those that are hidden.
 
     Args:
         name: one of `LEVELS`.
         level: dimensions of that level.
         text_width: D, width of the graph encoder's nodes.
         coarse: the coarser level, whose latent is an input; None at the motion level.
+        version: format of the bundle.
     """
-    return GraphContract(f"context_{name}", _context_inputs(text_width, coarse), _keys_values(level, "B"))
+    inputs = _context_inputs(text_width, coarse, version)
+    return GraphContract(f"context_{name}", inputs, _keys_values(level, "B"), version=version)
 
 
-def context_agd(name: str, level: LevelSpec, text_width: int, coarse: LevelSpec | None) -> GraphContract:
+def context_agd(
+    name: str, level: LevelSpec, text_width: int, coarse: LevelSpec | None, version: int = FORMAT_VERSION
+) -> GraphContract:
     """Declare `context` for adaptive gradient descent.
 
     Its output is the context tokens themselves, because the denoiser updates them before it computes keys and values.
     Arguments as for `context`.
     """
     tokens = (TensorSpec("context", ("B", "S", level.width)),)
-    return GraphContract(AGD_CONTEXTS[name], _context_inputs(text_width, coarse), tokens)
+    inputs = _context_inputs(text_width, coarse, version)
+    return GraphContract(AGD_CONTEXTS[name], inputs, tokens, version=version)
 
 
 def modulation(name: str, level: LevelSpec) -> GraphContract:
@@ -192,7 +228,7 @@ def modulation(name: str, level: LevelSpec) -> GraphContract:
     """
     inputs = (TensorSpec("timestep", ("K",), INT), TensorSpec("frames", ("B",), INT))
     outputs = (TensorSpec("modulation", ("K", "B", level.modulations, level.width)),)
-    return GraphContract(f"clock_{name}", inputs, outputs)
+    return GraphContract(f"modulation_{name}", inputs, outputs)
 
 
 def denoiser(name: str, level: LevelSpec) -> GraphContract:
@@ -201,7 +237,7 @@ def denoiser(name: str, level: LevelSpec) -> GraphContract:
     `bias` is added to the attention logits: the log edge weight of each context token, `PADDING_BIAS` on padding.
     Arguments as for `context`.
     """
-    return _denoiser(f"step_{name}", level, _keys_values(level, "A"))
+    return _denoiser(f"denoiser_{name}", level, _keys_values(level, "A"))
 
 
 def denoiser_agd(name: str, level: LevelSpec) -> GraphContract:
@@ -244,25 +280,28 @@ def decoder(name: str, level: LevelSpec, features: int) -> GraphContract:
     return GraphContract(name, inputs, (TensorSpec("features", ("B", "L", features)),))
 
 
-def contracts(levels: Mapping[str, LevelSpec], text_width: int, features: int) -> dict[str, GraphContract]:
+def contracts(
+    levels: Mapping[str, LevelSpec], text_width: int, features: int, version: int = FORMAT_VERSION
+) -> dict[str, GraphContract]:
     """Declare every graph that a bundle may hold, by name, in order of execution; the optional ones come last.
 
     Args:
         levels: one spec for each of `LEVELS`.
         text_width: D, width of the text encoder.
         features: F, width of the feature layout.
+        version: format of the bundle.
     """
     graphs = [text_encoder(text_width), graph_encoder(text_width)]
     agd_graphs: list[GraphContract] = []
     coarse: LevelSpec | None = None
     for name in LEVELS:
         level = levels[name]
-        graphs += [context(name, level, text_width, coarse), modulation(name, level), denoiser(name, level)]
-        agd_graphs += [context_agd(name, level, text_width, coarse), denoiser_agd(name, level)]
+        graphs += [context(name, level, text_width, coarse, version), modulation(name, level), denoiser(name, level)]
+        agd_graphs += [context_agd(name, level, text_width, coarse, version), denoiser_agd(name, level)]
         coarse = level
     graphs.append(decoder("decoder", levels[LEVELS[-1]], features))
     graphs += [decoder(graph, levels[level], features) for level, graph in COARSE_DECODERS.items()] + agd_graphs
-    return {graph.name: graph for graph in graphs}
+    return {graph.name: replace(graph, version=version) for graph in graphs}
 
 
 # Released networks: latent, time and conditions in one sequence ("concat")
@@ -332,8 +371,8 @@ def released_level(name: str, level: LevelSpec, text_width: int, coarse: LevelSp
     timestep, time = TensorSpec("timestep", ("K",), INT), TensorSpec("time", ("K", level.width))
     return (
         GraphContract(f"context_{name}", nodes + latents, (condition,)),
-        GraphContract(f"clock_{name}", (timestep,), (time,)),
-        GraphContract(f"step_{name}", inputs, (TensorSpec("noise", latent),)),
+        GraphContract(f"modulation_{name}", (timestep,), (time,)),
+        GraphContract(f"denoiser_{name}", inputs, (TensorSpec("noise", latent),)),
     )
 
 
@@ -366,7 +405,8 @@ def levels_of(family: Family) -> tuple[str, ...]:
 def graphs_of(family: Family) -> tuple[str, ...]:
     """Return the names of all graphs that a bundle of a family must have, in order of execution."""
     levels = levels_of(family)
-    absent = {f"{part}_{level}" for level in LEVELS if level not in levels for part in ("context", "clock", "step")}
+    parts = ("context", "modulation", "denoiser")
+    absent = {f"{part}_{level}" for level in LEVELS if level not in levels for part in parts}
     return tuple(name for name in GRAPHS if name not in absent and (family != "mld" or name != "graph_encoder"))
 
 
@@ -380,7 +420,7 @@ def optional_graphs_of(family: Family) -> tuple[str, ...]:
 GRAPHS: Final[tuple[str, ...]] = (
     "text_encoder",
     "graph_encoder",
-    *(f"{part}_{level}" for level in LEVELS for part in ("context", "clock", "step")),
+    *(f"{part}_{level}" for level in LEVELS for part in ("context", "modulation", "denoiser")),
     "decoder",
 )
 """Names of all graphs that a bundle of our own networks must have, in order of execution."""
@@ -403,25 +443,25 @@ def check_signature(inputs: Iterable[Tensor], outputs: Iterable[Tensor], contrac
     Raises:
         BundleFormatError: a difference; the message names graph, tensor, expected and actual value.
     """
-    _check_side(contract.name, "input", list(inputs), contract.inputs)
-    _check_side(contract.name, "output", list(outputs), contract.outputs)
+    _check_side(contract.file, "input", list(inputs), contract.inputs)
+    _check_side(contract.file, "output", list(outputs), contract.outputs)
 
 
-def _check_side(graph: str, side: str, tensors: list[Tensor], expected: tuple[TensorSpec, ...]) -> None:
+def _check_side(file: str, side: str, tensors: list[Tensor], expected: tuple[TensorSpec, ...]) -> None:
     by_name = {tensor.name: tensor for tensor in tensors}
     names = [spec.name for spec in expected]
     for spec in expected:
         tensor = by_name.get(spec.name)
         if tensor is None:
-            raise BundleFormatError(f"{graph}.onnx has no {side} {spec.name!r}; it has {sorted(by_name)}")
-        where = f"{graph}.onnx: {side} {spec.name!r}"
+            raise BundleFormatError(f"{file} has no {side} {spec.name!r}; it has {sorted(by_name)}")
+        where = f"{file}: {side} {spec.name!r}"
         if tensor.type != _ORT_TYPES[spec.dtype]:
             raise BundleFormatError(f"{where} should be {_ORT_TYPES[spec.dtype]}, found {tensor.type}")
         if not _same_axes(tensor.shape, spec.axes):
             raise BundleFormatError(f"{where} should have the shape {list(spec.axes)}, found {tensor.shape}")
     for name in by_name:
         if name not in names:
-            raise BundleFormatError(f"{graph}.onnx has an unknown {side} {name!r}; expected are {names}")
+            raise BundleFormatError(f"{file} has an unknown {side} {name!r}; expected are {names}")
 
 
 def _same_axes(shape: list[int | str | None], expected: tuple[str | int, ...]) -> bool:

@@ -15,14 +15,16 @@ from typing import Final, Literal
 from kinegraph.bundle.contract import (
     AGD_CONTEXTS,
     AGD_DENOISERS,
-    GRAPHS,
+    CONTEXT_MIXING_VERSION,
+    FORMAT_VERSION,
     NODE_KINDS,
-    OPTIONAL_GRAPHS,
+    OLDEST_VERSION,
     SLOTS,
     Family,
     GraphContract,
     LevelSpec,
     contracts,
+    graph_file,
     graphs_of,
     levels_of,
     optional_graphs_of,
@@ -35,28 +37,34 @@ from kinegraph.graph import ROLES
 from kinegraph.limits import MAX_FRAMES, MAX_PIECES
 from kinegraph.motion.skeleton import JOINT_NAMES, PARENTS
 
-FORMAT_VERSION: Final = 3
-OLDEST_VERSION: Final = 2
-"""Format 2 has no coarse decoders and no graphs of adaptive gradient descent."""
-
-GRAPH_FILES: Final[tuple[str, ...]] = tuple(f"{graph}.onnx" for graph in GRAPHS)
-OTHER_FILES: Final = ("tokenizer.json", "tables.npz")
-REQUIRED_FILES: Final[frozenset[str]] = frozenset((*GRAPH_FILES, *OTHER_FILES))
-"""Of our own networks; released ones have fewer graphs (`contract.graphs_of`)."""
-AGD_FILES: Final[frozenset[str]] = frozenset(
-    f"{graph}.onnx" for graph in (*AGD_CONTEXTS.values(), *AGD_DENOISERS.values())
-)
-"""A bundle has all of the graphs of adaptive gradient descent or none."""
-OPTIONAL_GRAPH_FILES: Final[frozenset[str]] = frozenset(f"{graph}.onnx" for graph in OPTIONAL_GRAPHS)
-OPTIONAL_FILES: Final[frozenset[str]] = OPTIONAL_GRAPH_FILES | {"parser.bin", "arguments.npz", "vocabulary.npz"}
-"""A bundle works without these, with limits.
+REQUIRED_TABLES: Final[frozenset[str]] = frozenset(("tokenizer.json", "tables.npz"))
+"""Files that every bundle has besides its graphs."""
+OPTIONAL_TABLES: Final[frozenset[str]] = frozenset(("parser.bin", "arguments.npz", "vocabulary.npz"))
+"""Files besides the graphs that a bundle works without, with limits.
 
 - Without parser.bin it takes graphs, but no plain sentences.
 - Without arguments.npz its parser labels arguments by rules.
 - Without vocabulary.npz it cannot tell words that it was never shown.
-- Without the coarse decoders it shows no clip before the last level is done.
-- Without the graphs of adaptive gradient descent it refuses to compose with `agd`.
 """
+
+
+def graph_files(version: int = FORMAT_VERSION, family: Family = "kinegraph") -> tuple[str, ...]:
+    """List the files of the graphs that a bundle of a format version must have, in order of execution."""
+    return tuple(graph_file(graph, version) for graph in graphs_of(family))
+
+
+def optional_graph_files(version: int = FORMAT_VERSION, family: Family = "kinegraph") -> frozenset[str]:
+    """List the files of the graphs that a bundle of a format version works without, with limits.
+
+    - Without the coarse decoders it shows no clip before the last level is done.
+    - Without the graphs of adaptive gradient descent it refuses to compose with `agd`.
+    """
+    return frozenset(graph_file(graph, version) for graph in optional_graphs_of(family))
+
+
+def agd_files(version: int = FORMAT_VERSION) -> frozenset[str]:
+    """List the files of the graphs of adaptive gradient descent, of which a bundle has all or none."""
+    return frozenset(graph_file(graph, version) for graph in (*AGD_CONTEXTS.values(), *AGD_DENOISERS.values()))
 
 
 # Records
@@ -204,8 +212,21 @@ class Manifest:
     def contracts(self) -> dict[str, GraphContract]:
         """Contract of every graph of this bundle, by name."""
         sizes = (self.levels, self.text.width, len(self.features.mean))
-        declared = contracts(*sizes) if self.family == "kinegraph" else released_contracts(self.family, *sizes)
+        if self.family == "kinegraph":
+            declared = contracts(*sizes, self.format_version)
+        else:
+            declared = released_contracts(self.family, *sizes)
         return {name: contract for name, contract in declared.items() if contract.file in self.files}
+
+    @property
+    def attends_to_words(self) -> bool:
+        """Whether the words of a caption stand beside the nodes of its graph."""
+        return any("word" in level.nodes for level in self.levels.values())
+
+    @property
+    def knows_partial_captions(self) -> bool:
+        """Whether the model has a token that says that a caption may name only a part of what happens."""
+        return self.format_version >= CONTEXT_MIXING_VERSION and self.family == "kinegraph"
 
     @property
     def seconds_limits(self) -> tuple[float, float]:
@@ -282,12 +303,12 @@ def _validate(manifest: Manifest) -> None:
     _check_version(manifest.format_version)
     _check_body(manifest)
     _check_features(manifest.features)
-    _check_levels(manifest.levels, levels_of(manifest.family))
+    _check_levels(manifest.levels, manifest.format_version, levels_of(manifest.family))
     if manifest.family != "kinegraph":
         for name, level in manifest.levels.items():
             _require(set(level.nodes) <= set(SLOTS), f"levels.{name}.nodes", f"must be some of {list(SLOTS)}")
     _check_schedule(manifest)
-    _check_files(manifest.files, manifest.operators, manifest.family)
+    _check_files(manifest)
 
 
 def _require(holds: bool, key: str, message: str) -> None:
@@ -349,8 +370,9 @@ def _check_features(features: FeatureSpec) -> None:
     _require(min(features.std) > 0, "features.std", f"must be positive, found {min(features.std)}")
 
 
-def _check_levels(levels: Mapping[str, LevelSpec], names: tuple[str, ...]) -> None:
+def _check_levels(levels: Mapping[str, LevelSpec], version: int, names: tuple[str, ...]) -> None:
     _check_keys(levels, "levels", names)
+    known = NODE_KINDS if version >= CONTEXT_MIXING_VERSION else NODE_KINDS[:-1]
     coarse: LevelSpec | None = None
     for name in names:
         level = levels[name]
@@ -363,11 +385,11 @@ def _check_levels(levels: Mapping[str, LevelSpec], names: tuple[str, ...]) -> No
             f"{key}.heads",
             f"must divide the width {level.width}, found {level.heads}",
         )
-        kinds = tuple(kind for kind in NODE_KINDS if kind in level.nodes)
+        kinds = tuple(kind for kind in known if kind in level.nodes)
         _require(
             bool(kinds) and level.nodes == kinds,
             f"{key}.nodes",
-            f"must be some of {list(NODE_KINDS)} in this order, found {list(level.nodes)}",
+            f"must be some of {list(known)} in this order, found {list(level.nodes)}",
         )
         if coarse is not None:
             # The coarser latent becomes context tokens of this level, of the same width.
@@ -427,15 +449,16 @@ def _check_schedule(manifest: Manifest) -> None:
     )
 
 
-def _check_files(
-    files: Mapping[str, FileSpec], operators: Mapping[str, tuple[str, ...]], family: Family = "kinegraph"
-) -> None:
+def _check_files(manifest: Manifest) -> None:
+    files, operators, version = manifest.files, manifest.operators, manifest.format_version
+    required = REQUIRED_TABLES.union(graph_files(version, manifest.family))
+    known = required | optional_graph_files(version, manifest.family) | OPTIONAL_TABLES
     for name, entry in files.items():
         # Only known names are ever opened, so separators, drives, "..", NUL and devices can name nothing.
         _require(
-            name in REQUIRED_FILES | OPTIONAL_FILES,
+            name in known,
             "files",
-            f"names {name!r}, no file of a bundle; allowed are {sorted(REQUIRED_FILES | OPTIONAL_FILES)}",
+            f"names {name!r}, no file of a bundle of format {version}; allowed are {sorted(known)}",
         )
         _require(
             re.fullmatch("[0-9a-f]{64}", entry.sha256) is not None,
@@ -443,16 +466,11 @@ def _check_files(
             f"must be 64 hex digits, found {entry.sha256!r}",
         )
         _require(entry.bytes >= 0, f"files.{name}.bytes", f"must not be negative, found {entry.bytes}")
-    required = {*(f"{graph}.onnx" for graph in graphs_of(family)), *OTHER_FILES}
     missing = sorted(required - set(files))
     _require(not missing, "files", f"lacks {missing}")
-    allowed = {f"{graph}.onnx" for graph in (*graphs_of(family), *optional_graphs_of(family))}
-    foreign = sorted(name for name in files if name.endswith(".onnx") and name not in allowed)
-    _require(not foreign, "files", f"has {foreign}, which networks of the family {family!r} do not have")
-    agd_files = AGD_FILES & set(files)
-    _require(
-        not agd_files or agd_files == AGD_FILES, "files", f"has {sorted(agd_files)}, of {sorted(AGD_FILES)} all or none"
-    )
+    all_agd = agd_files(version)
+    agd = all_agd & set(files)
+    _require(not agd or agd == all_agd, "files", f"has {sorted(agd)}, of {sorted(all_agd)} all or none")
     graphs = sorted(name for name in files if name.endswith(".onnx"))
     _require(
         sorted(operators) == graphs, "operators", f"must have exactly the keys {graphs}, found {sorted(operators)}"

@@ -1,4 +1,14 @@
-"""Read a bundle: a folder with `manifest.json` and the files that it lists, each read once and hashed."""
+"""Read a bundle: a folder with `manifest.json` and the files that it lists, each read once and hashed.
+
+Bundles that are installed with the package lie in `BUNDLES`, in folders of their names. They share the files that they
+have in common, which lie once in `BUNDLES / "shared"`:
+
+    bundles/shared/    text_encoder.onnx  tokenizer.json  parser.bin  arguments.npz
+    bundles/studio/    manifest.json, and all other files that it lists
+    bundles/open/      the same
+
+Each manifest lists and hashes the shared files that its bundle uses like its own.
+"""
 
 from __future__ import annotations
 
@@ -12,7 +22,7 @@ from types import MappingProxyType
 from typing import Final
 
 from kinegraph.arrays import FloatArray
-from kinegraph.bundle.manifest import GRAPH_FILES, OPTIONAL_GRAPH_FILES, FileSpec, Manifest, decode_manifest
+from kinegraph.bundle.manifest import FileSpec, Manifest, decode_manifest, graph_files, optional_graph_files
 from kinegraph.bundle.onnx_inspect import check_self_contained
 from kinegraph.bundle.tables import read_tables
 from kinegraph.bundle.vocabulary import FILE as VOCABULARY
@@ -21,8 +31,15 @@ from kinegraph.errors import BundleError, BundleFormatError, BundleIntegrityErro
 
 MANIFEST: Final = "manifest.json"
 
-DEFAULT_BUNDLE: Final = Path(__file__).parents[1] / "bundles" / "default"
-"""Bundle that is installed with the package."""
+BUNDLES: Final = Path(__file__).parents[1] / "bundles"
+"""Folder of the bundles that are installed with the package."""
+DEFAULT_NAME: Final = "default"
+DEFAULT_BUNDLE: Final = BUNDLES / DEFAULT_NAME
+"""Installed bundle that is loaded where none is named."""
+SHARED: Final = "shared"
+"""Folder beside installed bundles that holds `SHARED_FILES`; no bundle has this name."""
+SHARED_FILES: Final[frozenset[str]] = frozenset(("text_encoder.onnx", "tokenizer.json", "parser.bin", "arguments.npz"))
+"""Files that installed bundles may share: what reads text, which training does not change."""
 
 MAX_MANIFEST_BYTES: Final = 1 << 20
 MAX_FILE_BYTES: Final = 1 << 30
@@ -64,13 +81,37 @@ class Bundle:
         return data
 
 
-def read_bundle(path: Path | None = None) -> Bundle:
+def installed_bundles() -> dict[str, Path]:
+    """List the folders of the bundles that are installed with the package, by name."""
+    if not BUNDLES.is_dir():
+        return {}
+    folders = sorted(path for path in BUNDLES.iterdir() if path.name != SHARED and (path / MANIFEST).is_file())
+    return {folder.name: folder for folder in folders}
+
+
+def text_files_folder() -> Path:
+    """Return the folder that holds the files of installed bundles that read text (`SHARED_FILES`)."""
+    shared = BUNDLES / SHARED
+    return shared if shared.is_dir() else DEFAULT_BUNDLE
+
+
+def read_manifest(path: Path) -> Manifest:
+    """Read the manifest of a bundle's folder, and none of its other files.
+
+    Raises:
+        BundleFormatError, BundleIntegrityError: as in `read_bundle`.
+    """
+    return decode_manifest(_read(path, MANIFEST, MAX_MANIFEST_BYTES))
+
+
+def read_bundle(path: str | Path | None = None) -> Bundle:
     """Read a bundle and check that it is complete and unaltered, without opening a session.
 
     Optional graphs only have to exist: they are read at their first use (`Bundle.read_optional`).
 
     Args:
-        path: folder of the bundle; None takes the default bundle.
+        path: folder of the bundle; None takes the default bundle. A text that is the name of an installed bundle is
+            that bundle, wherever the process runs; a folder of that name here is "./NAME", or a `Path`.
 
     Raises:
         BundleError: there is no such folder, or it cannot be read.
@@ -78,22 +119,25 @@ def read_bundle(path: Path | None = None) -> Bundle:
         BundleIntegrityError: a file is missing, extra, not a regular file, or differs from the manifest.
     """
     folder = _folder(path)
-    manifest = decode_manifest(_read(folder, MANIFEST, MAX_MANIFEST_BYTES))
-    _check_listing(folder, manifest)
+    manifest = read_manifest(folder)
+    shared = _check_listing(folder, manifest)
     _check_sizes(manifest.files)
+    lazy = optional_graph_files(manifest.format_version)
     files = {
-        name: _read_listed(folder, name, entry)
+        name: _read_listed(folder.parent / SHARED if name in shared else folder, name, entry)
         for name, entry in manifest.files.items()
-        if name not in OPTIONAL_GRAPH_FILES
+        if name not in lazy
     }
-    for name in (name for name in GRAPH_FILES if name in files):
+    for name in graph_files(manifest.format_version, manifest.family):
         check_self_contained(files[name], name)
     tables = read_tables(files["tables.npz"], manifest)
     vocabulary = read_vocabulary(files[VOCABULARY], manifest.text.width) if VOCABULARY in files else None
     return Bundle(folder, manifest, MappingProxyType(files), tables, vocabulary)
 
 
-def _folder(path: Path | None) -> Path:
+def _folder(path: str | Path | None) -> Path:
+    if isinstance(path, str):
+        path = installed_bundles().get(path, path)
     if path is None and not DEFAULT_BUNDLE.is_dir():
         raise BundleError(
             "this installation carries no default bundle; install kinegraph again, or name a bundle's folder"
@@ -102,24 +146,42 @@ def _folder(path: Path | None) -> Path:
         # Links on the path to the folder are the caller's choice; inside the folder none are allowed.
         folder = Path(DEFAULT_BUNDLE if path is None else path).resolve(strict=True)
     except (OSError, ValueError, RuntimeError) as error:  # ValueError: NUL; RuntimeError: a loop of links
-        raise BundleError(f"no bundle at {str(path)!r}: {error}") from error
+        names = ", ".join(installed_bundles()) or "none"
+        raise BundleError(f"no bundle at {str(path)!r} (installed are: {names}): {error}") from error
     if not folder.is_dir():
         raise BundleError(f"{str(path)!r} is not a folder; a bundle is a folder with a {MANIFEST}")
     return folder
 
 
-def _check_listing(folder: Path, manifest: Manifest) -> None:
-    try:
-        with os.scandir(folder) as entries:
-            # Names are compared exactly, so "Decoder.onnx" is an extra file on case-blind disks too.
-            present = {entry.name for entry in entries}
-    except OSError as error:
-        raise BundleError(f"cannot list the bundle {str(folder)!r}: {error}") from error
+def _check_listing(folder: Path, manifest: Manifest) -> frozenset[str]:
+    """Check that a bundle has the files that its manifest lists and no others; returns those that it shares."""
+    present = _list_names(folder)
     listed = {MANIFEST, *manifest.files}
-    for name in sorted(listed - present):
+    shared = _shared_names(folder) & (listed - present)
+    for name in sorted(listed - present - shared):
         raise BundleIntegrityError(f"{name} is missing from the bundle {str(folder)!r}; fetch the bundle again")
     for name in sorted(present - listed):
         raise BundleIntegrityError(f"{name!r} in the bundle {str(folder)!r} is not listed in its {MANIFEST}; remove it")
+    return shared
+
+
+def _list_names(folder: Path) -> set[str]:
+    try:
+        with os.scandir(folder) as entries:
+            # Names are compared exactly, so "Decoder.onnx" is an extra file on case-blind disks too.
+            return {entry.name for entry in entries}
+    except OSError as error:
+        raise BundleError(f"cannot list the bundle {str(folder)!r}: {error}") from error
+
+
+def _shared_names(folder: Path) -> frozenset[str]:
+    """List the files that lie beside an installed bundle for all of them; none for a bundle anywhere else."""
+    shared = folder.parent / SHARED
+    if folder.parent != BUNDLES.resolve() or not (shared.is_dir() or shared.is_symlink()):
+        return frozenset()
+    if shared.is_symlink():
+        raise BundleIntegrityError(f"{str(shared)!r} is a link; install kinegraph again")
+    return SHARED_FILES & _list_names(shared)
 
 
 def _check_sizes(files: Mapping[str, FileSpec]) -> None:

@@ -69,9 +69,9 @@ class Sessions:
     """None for networks of the family "mld"."""
     context: Mapping[str, onnxruntime.InferenceSession]
     """Level -> context encoder."""
-    clock: Mapping[str, onnxruntime.InferenceSession]
+    modulation: Mapping[str, onnxruntime.InferenceSession]
     """Level -> AdaLN modulation."""
-    step: Mapping[str, onnxruntime.InferenceSession]
+    denoiser: Mapping[str, onnxruntime.InferenceSession]
     """Level -> denoiser."""
     decoder: onnxruntime.InferenceSession
     """Decoder of the finest level."""
@@ -79,13 +79,13 @@ class Sessions:
     """Level -> decoder; only levels for which the bundle has one."""
     context_agd: Mapping[str, LazySession]
     """Level -> context encoder for adaptive gradient descent; empty if the bundle has none."""
-    step_agd: Mapping[str, LazySession]
+    denoiser_agd: Mapping[str, LazySession]
     """Level -> denoiser with adaptive gradient descent; empty if the bundle has none."""
 
     @property
     def lazy(self) -> tuple[LazySession, ...]:
         """All sessions that are opened at their first use."""
-        return (*self.coarse_decoders.values(), *self.context_agd.values(), *self.step_agd.values())
+        return (*self.coarse_decoders.values(), *self.context_agd.values(), *self.denoiser_agd.values())
 
     def decoder_of(self, level: str) -> onnxruntime.InferenceSession:
         """Return the decoder of a level; the bundle must have one."""
@@ -169,12 +169,12 @@ def open_sessions(
         text_encoder=open_graph("text_encoder", wide),
         graph_encoder=open_graph("graph_encoder", wide) if "graph_encoder" in contracts else None,
         context=MappingProxyType({level: open_graph(f"context_{level}", wide) for level in levels}),
-        clock=MappingProxyType({level: open_graph(f"clock_{level}", narrow) for level in levels}),
-        step=MappingProxyType({level: open_graph(f"step_{level}", steps) for level in levels}),
+        modulation=MappingProxyType({level: open_graph(f"modulation_{level}", narrow) for level in levels}),
+        denoiser=MappingProxyType({level: open_graph(f"denoiser_{level}", steps) for level in levels}),
         decoder=open_graph("decoder", wide),
         coarse_decoders=lazy(COARSE_DECODERS, wide),
         context_agd=lazy(AGD_CONTEXTS, wide),
-        step_agd=lazy(AGD_DENOISERS, narrow),
+        denoiser_agd=lazy(AGD_DENOISERS, narrow),
     )
 
 

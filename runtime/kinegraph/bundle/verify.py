@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from kinegraph.bundle.manifest import OPTIONAL_GRAPH_FILES
+from kinegraph.bundle.manifest import optional_graph_files
 from kinegraph.bundle.onnx_inspect import summarise
 from kinegraph.bundle.reader import Bundle, read_bundle
 from kinegraph.bundle.sessions import open_sessions
@@ -28,11 +28,11 @@ class VerifyReport:
     """Graphs that onnxruntime loads, with inputs and outputs as in the contract."""
 
 
-def verify_bundle(path: Path | None = None) -> VerifyReport:
+def verify_bundle(path: str | Path | None = None) -> VerifyReport:
     """Check a bundle without running it.
 
     Args:
-        path: folder of the bundle; None takes the default bundle.
+        path: folder of the bundle, or the name of an installed one; None takes the default bundle.
 
     Raises:
         BundleError: the first violation; the message names the file.
@@ -53,7 +53,8 @@ def verify_bundle(path: Path | None = None) -> VerifyReport:
 
 
 def _check_operators(bundle: Bundle, name: str) -> int:
-    data = bundle.read_optional(name) if name in OPTIONAL_GRAPH_FILES else bundle.files[name]
+    is_lazy = name in optional_graph_files(bundle.manifest.format_version)
+    data = bundle.read_optional(name) if is_lazy else bundle.files[name]
     summary = summarise(data, name)
     if summary.external_data:
         raise BundleFormatError(f"{name} keeps tensors in another file; export it with all data inside")

@@ -194,7 +194,11 @@ def _add_sampling_and_output(parser: argparse.ArgumentParser) -> None:
 
 
 def _add_bundle_path(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--bundle", type=Path, metavar="DIR", help="folder of a bundle; default: the built-in one")
+    parser.add_argument(
+        "--bundle",
+        metavar="NAME|DIR",
+        help="an installed bundle (`kinegraph info` lists them) or the folder of another; default: the built-in one",
+    )
 
 
 def _add_threads(parser: argparse.ArgumentParser) -> None:

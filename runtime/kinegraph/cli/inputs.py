@@ -21,11 +21,11 @@ MAX_GRAPH_BYTES: Final = 1 << 20
 MAX_CAPTIONS_BYTES: Final = 1 << 26
 
 
-def load_pipeline(bundle: Path | None, threads: int | None, *, parses: bool) -> MotionPipeline:
+def load_pipeline(bundle: str | None, threads: int | None, *, parses: bool) -> MotionPipeline:
     """Load a bundle.
 
     Args:
-        bundle: its folder; None takes the default bundle.
+        bundle: its folder, or the name of an installed one; None takes the default bundle.
         threads: threads a model may use.
         parses: True if a sentence will be parsed: spaCy is then imported in the background meanwhile.
 

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Mapping
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from kinegraph.cli.console import as_json
 from kinegraph.cli.inputs import apply_edits, check_jsonl_alone, load_pipeline, read_captions, read_text_or_graph
-from kinegraph.errors import InvalidInputError, KinegraphError
+from kinegraph.errors import BundleError, InvalidInputError, KinegraphError
 
 # Modules that load numpy or onnxruntime are imported where they are used: `--help` must be instant.
 if TYPE_CHECKING:
@@ -98,10 +99,15 @@ def run_bench(args: argparse.Namespace) -> int:
 
 def info_record(bundle: Bundle) -> dict[str, Any]:
     """Collect the facts of `info` as plain JSON values."""
+    from kinegraph.bundle.reader import DEFAULT_BUNDLE, installed_bundles
     from kinegraph.bundle.strict_json import to_plain
 
     manifest = to_plain(bundle.manifest)
     features = manifest["features"]
+    installed = {
+        name: _describe_installed(folder, is_default=folder == DEFAULT_BUNDLE)
+        for name, folder in installed_bundles().items()
+    }
     return {
         "name": manifest["name"],
         "version": manifest["version"],
@@ -120,7 +126,20 @@ def info_record(bundle: Bundle) -> dict[str, Any]:
         "training": manifest["training"],
         "quality": manifest["quality"],
         "parity": manifest["parity"],
+        "installed": installed,
     }
+
+
+def _describe_installed(folder: Path, *, is_default: bool) -> dict[str, Any]:
+    """Describe an installed bundle by its manifest alone; a broken one must not hide the others."""
+    from kinegraph.bundle.reader import read_manifest
+
+    try:
+        manifest = read_manifest(folder)
+    except BundleError as error:
+        return {"default": is_default, "error": str(error)}
+    facts = {"name": manifest.name, "version": manifest.version, "weights": manifest.licence.weights}
+    return {"default": is_default, **facts}
 
 
 def info_text(record: Mapping[str, Any]) -> str:
@@ -146,7 +165,16 @@ def info_text(record: Mapping[str, Any]) -> str:
     lines += _section("quality", record["quality"])
     lines += _section("parity (largest difference; int8: relative; mm: mean of joints)", record["parity"])
     lines += _section("files", {name: _megabytes(size) for name, size in sizes.items()})
+    lines += _section(
+        "installed bundles, for --bundle NAME", {k: _installed_line(v) for k, v in record["installed"].items()}
+    )
     return "\n".join(lines)
+
+
+def _installed_line(entry: Mapping[str, Any]) -> str:
+    """Format one installed bundle: what it is, and under which licence its weights are."""
+    facts = entry.get("error") or f"{entry['name']} {entry['version']}; weights: {entry['weights']}"
+    return f"{facts} (the default)" if entry["default"] else facts
 
 
 def words_record(bundle: Bundle) -> dict[str, Any]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import warnings
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -32,14 +33,19 @@ def encode(clip: Clip) -> bytes:
 
     figure = Figure(figsize=(1.4 * (POSES + 1.5), 2.9), dpi=110)
     axes = figure.subplots(1, POSES + 1, width_ratios=[1.0] * POSES + [1.5])
-    frames = np.linspace(0, clip.frames - 1, POSES).round().astype(int)
-    top = max(1.9, float(clip.joints[..., 1].max()) + 0.1)
-    for axis, frame in zip(axes, frames, strict=False):
-        _draw_pose(axis, clip.joints[frame], f"{frame / clip.fps:.1f} s", top)
-    _draw_path(axes[-1], clip.joints, frames)
+    draw_row(axes, clip.joints, clip.fps)
     figure.suptitle(title_line(clip.text), fontsize=12, y=0.97)
     figure.subplots_adjust(left=0.01, right=0.97, bottom=0.14, top=0.88, wspace=0.02)
     return png_bytes(figure)
+
+
+def draw_row(axes: Sequence[Axes], joints: FloatArray, fps: float) -> None:
+    """Draw a clip's joints (frames, 22, 3) on a row of axes: `POSES` poses and the path from above."""
+    frames = np.linspace(0, len(joints) - 1, POSES).round().astype(int)
+    top = max(1.9, float(joints[..., 1].max()) + 0.1)
+    for axis, frame in zip(axes, frames, strict=False):
+        _draw_pose(axis, joints[frame], f"{frame / fps:.1f} s", top)
+    _draw_path(axes[-1], joints, frames)
 
 
 def png_bytes(figure: Figure) -> bytes:

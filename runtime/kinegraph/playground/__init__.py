@@ -1,6 +1,8 @@
 """`kinegraph play`: a page on loopback that generates clips while one watches. Needs the extra `play`.
 
-    middleware.py   admits requests of this machine's own pages, of bounded size
+    guards.py       limits of a server, and the middleware that keeps those of one request
+    connections.py  time limits and number of connections, for any application of uvicorn
+    middleware.py   admits requests of this machine's own pages
     app.py          the page and five calls: parse, unknown words, edit, a clip as a stream of events, a file of it
     schemas.py      the JSON of a request as typed, checked values
     jobs.py         one clip: its events, the result, and the time of each stage

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import asyncio
 import json
+import logging
 import re
 import threading
-from collections.abc import AsyncIterator, Callable
+from collections.abc import AsyncGenerator, Callable
 from typing import Any, Final, TypeVar
 
 from starlette.applications import Starlette
+from starlette.middleware import Middleware
 from starlette.requests import Request
 from starlette.responses import JSONResponse, Response, StreamingResponse
 from starlette.routing import Route
@@ -22,18 +24,22 @@ from kinegraph.formats.html import content_security_policy, render_page
 from kinegraph.graph import ARGUMENT_ROLES
 from kinegraph.pipeline import MotionPipeline
 from kinegraph.playground.fair_queue import FairQueue, TooBusyError
-from kinegraph.playground.jobs import GenerationJob, generate_clip
+from kinegraph.playground.guards import UNEXPECTED, Receive, RequestGuard, Scope, Send, ServerLimits, run_until_left
+from kinegraph.playground.jobs import GenerationJob, TookTooLongError, generate_clip
 from kinegraph.playground.middleware import LoopbackOnlyMiddleware
 from kinegraph.playground.schemas import (
     ClipRequest,
     apply_edit,
     parse_caption,
     parse_clip_request,
+    parse_file_request,
     parse_graph,
     parse_json,
 )
 
 T = TypeVar("T")
+
+logger = logging.getLogger(__name__)
 
 FILES: Final = {
     ".bvh": "text/plain; charset=us-ascii",
@@ -92,29 +98,27 @@ class Playground:
         """
         clip_request, tab = parse_clip_request(parse_json(await request.body())), _tab(request)
         self._clip_queue.check_room(tab)
-        return StreamingResponse(self._events(clip_request, tab), media_type="application/x-ndjson")
+        return _EventStream(self._events(clip_request, tab), media_type="application/x-ndjson")
 
     async def file(self, request: Request) -> Response:
-        """Generate the clip of {wish, suffix, names} and answer with the file, as the command line writes it."""
-        record = parse_json(await request.body())
-        suffix, names = record.get("suffix"), record.get("names", "smpl")
-        if not isinstance(suffix, str) or suffix not in FILES:
-            raise InvalidInputError(f"suffix must be one of {', '.join(FILES)}, not {str(suffix)[:40]!r}")
-        if not isinstance(record.get("wish"), dict):
-            raise InvalidInputError("wish must be a JSON object")
-        clip_request = parse_clip_request(record["wish"])
-        if clip_request.seed is None:
-            raise InvalidInputError("a file needs the seed of its clip: without one it would be another clip")
+        """Generate the clip of {wish, suffix, names} and answer with the file, as the command line writes it.
+
+        A client that disconnects stops the generation.
+        """
+        wanted = parse_file_request(parse_json(await request.body()), tuple(FILES))
 
         def make_file(stop: threading.Event) -> bytes:
-            clip = generate_clip(self._pipeline, clip_request, lambda _: not stop.is_set())
-            return encode(clip, suffix, str(names))
+            clip = generate_clip(self._pipeline, wanted.clip, lambda _: not stop.is_set())
+            return encode(clip, wanted.suffix, wanted.names)
 
-        async with self._clip_queue.turn(_tab(request)):
-            data = await _run_in_thread(make_file)
-        return Response(data, media_type=FILES[suffix])
+        async def make_in_turn() -> bytes:
+            async with self._clip_queue.turn(_tab(request)):
+                return await _run_in_thread(make_file)
 
-    async def _events(self, clip_request: ClipRequest, tab: str) -> AsyncIterator[str]:
+        data = await run_until_left(make_in_turn(), request.receive)
+        return Response(data, media_type=FILES[wanted.suffix])
+
+    async def _events(self, clip_request: ClipRequest, tab: str) -> AsyncGenerator[str]:
         """Run a job and yield its events as lines; closing the iterator cancels the job."""
         events: asyncio.Queue[dict[str, Any] | None] = asyncio.Queue()
         job = asyncio.create_task(self._run_job(clip_request, tab, events))
@@ -139,8 +143,25 @@ class Playground:
                 await _run_in_thread(lambda stop: GenerationJob(self._pipeline, clip_request, send, stop).run())
         except KinegraphError as error:
             send({"event": "error", "message": str(error)})
+        except asyncio.CancelledError:
+            raise
+        except BaseException:  # a panic of a library in Rust is no Exception
+            logger.exception("the clip failed")
+            send({"event": "error", "message": UNEXPECTED})
         finally:
             send(None)  # the same way as the events of the thread, and so behind them
+
+
+class _EventStream(StreamingResponse):
+    """Stream that closes its iterator however it ends; by itself it may leave that to the garbage collector."""
+
+    body_iterator: AsyncGenerator[str]
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        try:
+            await super().__call__(scope, receive, send)
+        finally:
+            await self.body_iterator.aclose()
 
 
 async def _run_in_thread(work: Callable[[threading.Event], T]) -> T:
@@ -179,8 +200,9 @@ def _page_facts(pipeline: MotionPipeline) -> dict[str, Any]:
 
 
 async def _answer_error(request: Request, error: Exception) -> Response:
-    """Answer a KinegraphError with a status and one sentence; any other exception ends as a bare 500."""
-    status = 503 if isinstance(error, TooBusyError) else 400 if isinstance(error, InvalidInputError) else 500
+    """Answer a KinegraphError with a status and one sentence; `RequestGuard` answers any other exception."""
+    busy = isinstance(error, TooBusyError | TookTooLongError)
+    status = 503 if busy else 400 if isinstance(error, InvalidInputError) else 500
     headers = {"Retry-After": "2"} if status == 503 else None
     return JSONResponse({"error": " ".join(str(error).split())}, status, headers)
 
@@ -191,10 +213,11 @@ async def _answer_unknown(request: Request, error: Exception) -> Response:
     return JSONResponse({"error": {404: "there is no such page", 405: "not that way"}.get(status, "failed")}, status)
 
 
-def application(playground: Playground, port: int) -> LoopbackOnlyMiddleware:
+def application(playground: Playground, port: int, limits: ServerLimits) -> Starlette:
     """Build the ASGI application of a playground, behind its middleware."""
     routes = [Route("/", playground.page)]
     for name in ("parse", "unknown", "edit", "clip", "file"):
         routes.append(Route(f"/api/{name}", getattr(playground, name), methods=["POST"]))
     handlers: dict[Any, Any] = {KinegraphError: _answer_error, 404: _answer_unknown, 405: _answer_unknown}
-    return LoopbackOnlyMiddleware(Starlette(routes=routes, exception_handlers=handlers), port)
+    guards = [Middleware(LoopbackOnlyMiddleware, port=port), Middleware(RequestGuard, limits=limits)]
+    return Starlette(routes=routes, exception_handlers=handlers, middleware=guards)

@@ -83,17 +83,20 @@ class FairQueue:
 
     def _next(self) -> None:
         """Give the turn to the first tab, and move that tab behind all others."""
-        if not self._waiting:
-            self._busy = False
-            return
-        tab, queue = self._waiting.popitem(last=False)
-        turn = queue.popleft()
-        if queue:
-            self._waiting[tab] = queue
-        turn.set_result(None)
+        while self._waiting:
+            tab, queue = self._waiting.popitem(last=False)
+            turn = queue.popleft()
+            if queue:
+                self._waiting[tab] = queue
+            if not turn.done():  # otherwise cancelled, and its request has not run since
+                turn.set_result(None)
+                return
+        self._busy = False
 
     def _leave(self, tab: str, turn: asyncio.Future[None]) -> None:
-        queue = self._waiting[tab]
+        queue = self._waiting.get(tab, deque())
+        if turn not in queue:
+            return  # passed over by `_next`
         queue.remove(turn)
         if not queue:
             del self._waiting[tab]

@@ -10,10 +10,14 @@ from typing import Any, Final
 
 from kinegraph.clip import Clip
 from kinegraph.diffusion.sampling import OnStep, StepInfo
+from kinegraph.errors import KinegraphError
 from kinegraph.formats.html import clip_record
 from kinegraph.graph import SemanticGraph
 from kinegraph.pipeline import MotionPipeline, OnLevel
 from kinegraph.playground.schemas import ClipRequest
+
+MAX_SECONDS: Final = 300.0
+"""Time of one clip; meanwhile the others wait."""
 
 SendEvent = Callable[[dict[str, Any]], None]
 """Takes one event; called from the thread that generates the clip."""
@@ -25,14 +29,26 @@ STAGES: Final = {"motion": "text and motion", "action": "action", "specific": "s
 """Level -> stage that ends with its last step; the text is encoded before the first step."""
 
 
+class TookTooLongError(KinegraphError):
+    """The clip took longer than the server gives one."""
+
+
 def generate_clip(
     pipeline: MotionPipeline, request: ClipRequest, on_step: OnStep, on_level: OnLevel | None = None
 ) -> Clip:
     """Generate the clip of a request, equal to that of the command line for the same arguments.
 
     Raises:
+        TookTooLongError: it took `MAX_SECONDS`.
         KinegraphError: as in `MotionPipeline.generate` and `compose`.
     """
+    end = time.monotonic() + MAX_SECONDS
+
+    def on_step_in_time(info: StepInfo) -> bool | None:
+        if time.monotonic() > end:
+            raise TookTooLongError(f"a clip may take {MAX_SECONDS:g} seconds; ask for fewer steps or concepts")
+        return on_step(info)
+
     if request.concepts is None:
         return pipeline.generate(
             request.text or "",
@@ -41,7 +57,7 @@ def generate_clip(
             steps=request.steps,
             guidance=request.guidance,
             foot_fix=request.foot_fix,
-            on_step=on_step,
+            on_step=on_step_in_time,
             on_level=on_level,
         )
     return pipeline.compose(
@@ -55,7 +71,7 @@ def generate_clip(
         steps=request.steps,
         guidance=request.guidance,
         foot_fix=request.foot_fix,
-        on_step=on_step,
+        on_step=on_step_in_time,
         on_level=on_level,
     )
 

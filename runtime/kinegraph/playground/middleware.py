@@ -1,4 +1,4 @@
-"""ASGI middleware that admits only requests of this machine's own pages, of bounded size.
+"""ASGI middleware that admits only requests of this machine's own pages.
 
 A page of another site can make a browser send requests to this machine. It cannot send them with our Host, even by
 DNS rebinding, nor with our Origin, nor as JSON without a CORS preflight request, which nothing here answers.
@@ -6,19 +6,13 @@ DNS rebinding, nor with our Origin, nor as JSON without a CORS preflight request
 
 from __future__ import annotations
 
-from collections.abc import Awaitable, Callable, MutableMapping
-from typing import Any, Final
+from typing import Final
 
 from starlette.responses import JSONResponse
 
-Message = MutableMapping[str, Any]
-Receive = Callable[[], Awaitable[Message]]
-Send = Callable[[Message], Awaitable[None]]
-App = Callable[[MutableMapping[str, Any], Receive, Send], Awaitable[None]]
+from kinegraph.playground.guards import App, Message, Receive, Scope, Send
 
 LOOPBACK_NAMES: Final = ("127.0.0.1", "localhost", "[::1]")
-MAX_BODY: Final = 64 * 1024
-"""Bytes of a request body; a graph of 32 nodes or 8 concepts of 512 characters fit several times."""
 
 RESPONSE_HEADERS: Final = (
     (b"x-content-type-options", b"nosniff"),
@@ -38,7 +32,7 @@ class LoopbackOnlyMiddleware:
         self._hosts = frozenset(f"{name}:{port}" for name in LOOPBACK_NAMES)
         self._port = port
 
-    async def __call__(self, scope: MutableMapping[str, Any], receive: Receive, send: Send) -> None:
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         if scope["type"] != "http":
             await self._app(scope, receive, send)
             return
@@ -68,9 +62,4 @@ class LoopbackOnlyMiddleware:
                 return 403, "another page may not ask this server"
             if headers.get(b"content-type", b"").split(b";")[0].strip().lower() != b"application/json":
                 return 415, "send JSON, with the header Content-Type: application/json"
-            length = headers.get(b"content-length", b"")
-            if not length.isdigit():
-                return 411, "the request must state its length"
-            if len(length) > 9 or int(length) > MAX_BODY:
-                return 413, f"a request may have {MAX_BODY} bytes"
         return None

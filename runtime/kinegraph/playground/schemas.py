@@ -6,18 +6,29 @@ In the JSON of `/api/file` a clip request is called "wish".
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+import re
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Final, TypeVar
 
+from kinegraph.bundle.strict_json import parse_object
 from kinegraph.concepts import Concept
 from kinegraph.edits import masked, replaced, with_action, with_argument, without
-from kinegraph.errors import InvalidInputError
+from kinegraph.errors import BundleFormatError, InvalidInputError
+from kinegraph.formats import check_names
 from kinegraph.graph import SemanticGraph
+from kinegraph.motion.skeleton import DEFAULT_NAMES
 from kinegraph.options import Guidance, Steps, parse_numbers
 from kinegraph.text.parser import check_caption
+from kinegraph.validation import short_repr
 
 N = TypeVar("N", int, float)
+
+MAX_NESTING: Final = 16
+"""Objects and lists inside one another; a file of an edited graph has 7."""
+_STRING: Final = re.compile(rb'"[^"\\]*(?:\\.[^"\\]*)*"?', re.DOTALL)
+"""One that does not end is matched too: tried again from each of its quotes, it would take quadratic time."""
+_BRACKET: Final = re.compile(rb"[\[\]{}]")
 
 _SAMPLING_KEYS: Final = frozenset(("seconds", "seed", "steps", "guidance", "foot_fix"))
 _COMPOSITION_KEYS: Final = frozenset(("method", "lambdas", "agd"))
@@ -44,19 +55,41 @@ class ClipRequest:
     foot_fix: bool = True
 
 
+@dataclass(frozen=True)
+class FileRequest:
+    """Request for a file of one clip."""
+
+    clip: ClipRequest
+    suffix: str
+    names: str
+    """Naming convention of the joints."""
+
+
 def parse_json(data: bytes) -> dict[str, Any]:
     """Parse the body of a request.
 
     Raises:
-        InvalidInputError: not UTF-8, not JSON, or not an object.
+        InvalidInputError: not UTF-8, not JSON, not an object, repeated keys, NaN, half a surrogate pair, or nested too
+            deep.
     """
+    # Counted before anything is parsed: the parser, and whatever shows a value, would go as deep as the request says.
+    depth = 0
+    for bracket in _BRACKET.findall(_STRING.sub(b"", data)):
+        depth += 1 if bracket in b"[{" else -1
+        if depth > MAX_NESTING:
+            raise InvalidInputError(
+                f"the request is not valid JSON for this server: nested more than {MAX_NESTING} deep"
+            )
     try:
-        value = json.loads(data.decode("utf-8"))
-    except (ValueError, RecursionError) as error:
-        raise InvalidInputError(f"the request is not valid JSON: {error}") from error
-    if not isinstance(value, dict):
-        raise InvalidInputError("the request must be a JSON object")
-    return value
+        record = parse_object(data, "the request")
+    except BundleFormatError as error:
+        raise InvalidInputError(str(error)) from error
+    if b"\\u" in data:
+        try:
+            json.dumps(record, ensure_ascii=False).encode("utf-8")
+        except UnicodeEncodeError:
+            raise InvalidInputError("the request is not valid JSON: half of a surrogate pair is no character") from None
+    return record
 
 
 def parse_caption(record: Mapping[str, Any]) -> str:
@@ -118,6 +151,27 @@ def parse_clip_request(record: Mapping[str, Any]) -> ClipRequest:
     )
 
 
+def parse_file_request(record: Mapping[str, Any], suffixes: Sequence[str]) -> FileRequest:
+    """Read a request for a file {wish, suffix, names}.
+
+    Raises:
+        InvalidInputError: unknown keys, invalid values, or no seed.
+    """
+    _check_keys(record, {"wish", "suffix", "names"})
+    suffix, names, wish = record.get("suffix"), record.get("names", DEFAULT_NAMES), record.get("wish")
+    if not isinstance(suffix, str) or suffix not in suffixes:
+        raise InvalidInputError(f"suffix must be one of {', '.join(suffixes)}, not {short_repr(suffix)}")
+    if not isinstance(names, str):
+        raise InvalidInputError(f"names must be text, not {short_repr(names)}")
+    check_names(suffix, names)
+    if not isinstance(wish, dict):
+        raise InvalidInputError("wish must be a JSON object")
+    clip = parse_clip_request(wish)
+    if clip.seed is None:
+        raise InvalidInputError("a file needs the seed of its clip: without one it would be another clip")
+    return FileRequest(clip, suffix, names)
+
+
 def apply_edit(record: Mapping[str, Any]) -> SemanticGraph:
     """Edit the graph of a request {graph, edit: {kind, node, text, role}}.
 
@@ -142,7 +196,7 @@ def apply_edit(record: Mapping[str, Any]) -> SemanticGraph:
         return with_action(graph, text)  # type: ignore[arg-type]
     if kind == "argument":
         return with_argument(graph, node, edit.get("role"), text)  # type: ignore[arg-type]
-    raise InvalidInputError(f"edit.kind must be drop, mask, replace, action or argument, not {kind!r}")
+    raise InvalidInputError(f"edit.kind must be drop, mask, replace, action or argument, not {short_repr(kind)}")
 
 
 def _check_keys(record: Mapping[str, Any], known: set[str]) -> None:

@@ -8,11 +8,11 @@ import webbrowser
 from collections.abc import Callable
 from typing import Final
 
-import uvicorn
-
 from kinegraph.errors import InvalidInputError, KinegraphError, OutputError
 from kinegraph.pipeline import MotionPipeline
 from kinegraph.playground.app import EXAMPLE, Playground, application
+from kinegraph.playground.connections import GuardedServer
+from kinegraph.playground.guards import ServerLimits
 
 ADDRESS: Final = "127.0.0.1"
 
@@ -57,24 +57,13 @@ def serve(pipeline: MotionPipeline, listener: socket.socket, on_start: Callable[
     server.run(sockets=[listener])
 
 
-class Server(uvicorn.Server):
-    """uvicorn server that cancels open streams when it shuts down; by itself it would wait for them."""
+class Server(GuardedServer):
+    """Server of a playground that cancels open streams when it shuts down; by itself it would wait for them."""
 
-    def __init__(self, playground: Playground, port: int) -> None:
+    def __init__(self, playground: Playground, port: int, limits: ServerLimits | None = None) -> None:
         self._playground = playground
-        # Only the minimum: one process, no reload, no name resolution, no request log.
-        super().__init__(
-            uvicorn.Config(
-                application(playground, port),
-                log_level="error",
-                access_log=False,
-                server_header=False,
-                proxy_headers=False,
-                ws="none",
-                limit_concurrency=64,
-                timeout_graceful_shutdown=2,
-            )
-        )
+        limits = limits or ServerLimits()
+        super().__init__(application(playground, port, limits), limits)
 
     async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
         self._playground.stop()

@@ -1,7 +1,7 @@
 """BVH files: parsing, resampling, and forward kinematics.
 
-Parsing is strict. A file that is cut short, or whose header disagrees with its data, is refused: a model trained on it
-would not show the fault.
+A file that is cut short, or whose header disagrees with its data, is refused: a model trained on it would not show the
+fault. What exporters are known to write otherwise than the format says is read, and told as a warning.
 """
 
 from __future__ import annotations
@@ -16,10 +16,23 @@ import numpy as np
 from kinegraph.arrays import Floats
 from kinegraph.errors import InvalidInputError
 from kinegraph.motion.quaternions import IDENTITY, about_axis, multiply, rotate, slerp
+from kinegraph.validation import short_repr
+from kinegraph_training.data.naming import END
+from kinegraph_training.data.recording import (
+    MAX_FPS,
+    MIN_FPS,
+    Recording,
+    check_size,
+    nominal_fps,
+    read_bytes,
+    resampled_times,
+)
 
 AXES: Final = {"X": 0, "Y": 1, "Z": 2}
-END: Final = ".end"
-"""Suffix of the name of an End Site: `Head.end` is that of `Head`."""
+_HEADER: Final = re.compile(r"\s*Frames\s*:?\s*(\S+)\s+Frame\s*Time\s*:?\s*(\S+)", re.IGNORECASE)
+_SPACE: Final = re.compile(r"\s|\Z")
+_BLOCK: Final = 1 << 20
+"""Characters of the MOTION part that are parsed at once; the words of all of it would take eight times its size."""
 
 
 @dataclass(frozen=True)
@@ -47,6 +60,8 @@ class BvhMotion:
     """(frames, bones, 4) quaternions relative to the parent."""
     frame_time: float
     """Seconds."""
+    warnings: tuple[str, ...] = ()
+    """What the file has otherwise than the format says, and how it was read."""
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -69,38 +84,49 @@ def read_bvh(path: Path) -> BvhMotion:
     """Read a BVH file.
 
     Raises:
-        InvalidInputError: missing, or not a BVH file; the message names file and fault.
+        InvalidInputError: missing, too large, or not a BVH file; the message does not name the file.
     """
-    try:
-        data = path.read_bytes()
-    except OSError as error:
-        raise InvalidInputError(f"{path} cannot be read ({error.strerror}); check the name") from error
+    data = read_bytes(path)
+    if data.startswith((b"\xff\xfe", b"\xfe\xff")):
+        raise InvalidInputError("it is UTF-16; save it as UTF-8 or ASCII")
     # Names may be in any encoding; the rest is ASCII.
-    text = data.decode("utf-8-sig", errors="replace")
-    try:
-        return parse_bvh(text)
-    except InvalidInputError as error:
-        raise InvalidInputError(f"{path}: {error}") from error
+    return parse_bvh(data.decode("utf-8-sig", errors="replace"))
 
 
 def parse_bvh(text: str) -> BvhMotion:
     """Parse the text of a BVH file; see `read_bvh`."""
+    text = text.replace("\r\n", "\n").replace("\r", "\n")
     # MOTION stands on a line of its own; joints may be called "motion" too.
-    head, *rest = re.split(r"^[ \t]*MOTION[ \t]*\r?$", text, maxsplit=1, flags=re.MULTILINE)
+    head, *rest = re.split(r"^[ \t]*MOTION[ \t]*$", text, maxsplit=1, flags=re.MULTILINE)
     if not head.lstrip().upper().startswith("HIERARCHY") or not rest:
         raise InvalidInputError("no BVH file: it must start with HIERARCHY and have a MOTION part")
+    warnings = []
+    motion = rest[0]
+    if re.search(r"\d,\d", motion) and not re.search(r"\d\.\d", motion):
+        warnings.append("commas in numbers are read as decimal points")
+        motion = motion.replace(",", ".")
+        head = re.sub(
+            r"^\s*OFFSET.*$", lambda line: line[0].replace(",", "."), head, flags=re.MULTILINE | re.IGNORECASE
+        )
     bones = _parse_hierarchy(head.lstrip())
-    frames, frame_time, values = _parse_motion(rest[0])
+    frames, frame_time, start = _parse_header(motion)
     width = sum(len(bone.channels) for bone in bones)
+    check_size(frames, len(bones), "the file has")
+    values = _parse_values(motion, start, most=(frames + 2) * width)
+    if width and len(values) == (frames + 1) * width:
+        warnings.append(f"it says {frames} frames and holds {frames + 1}, which are all taken")
+        frames += 1
     if len(values) != frames * width:
         raise InvalidInputError(
             f"{frames} frames of {width} channels are {frames * width} numbers, but the MOTION part holds "
-            f"{len(values)}; the file is cut short or mixed up"
+            f"{'more' if len(values) > (frames + 1) * width else len(values)}; the file is cut short or mixed up"
         )
     if not np.isfinite(values).all():
         raise InvalidInputError("the MOTION part holds numbers that are not finite; export it again")
-    positions, rotations = _local_motion(bones, values.reshape(frames, width))
-    return BvhMotion(tuple(bones), positions, rotations, frame_time)
+    positions, rotations, unused = _local_motion(bones, values.reshape(frames, width))
+    if unused:
+        warnings.append(f"position channels of {unused} joints are all zero: their OFFSET is used")
+    return BvhMotion(tuple(bones), positions, rotations, frame_time, tuple(warnings))
 
 
 def resample_bvh(motion: BvhMotion, fps: float) -> BvhMotion:
@@ -108,19 +134,42 @@ def resample_bvh(motion: BvhMotion, fps: float) -> BvhMotion:
 
     The motion keeps its duration, or loses less than one frame.
     """
-    last = float(len(motion.positions) - 1)
-    count = int(last * motion.frame_time * fps + 1e-4) + 1
-    position: Floats = np.minimum(np.arange(count) / (fps * motion.frame_time), last)
-    # Frame times are rounded in the file (0.0333333): a position that close to a frame is that frame.
-    position = np.where(np.abs(position - np.round(position)) < 1e-3, np.round(position), position)
-    before = np.floor(position).astype(np.int64)
+    times = resampled_times(len(motion.positions), 1.0 / motion.frame_time, fps)
+    return replace(sample_bvh(motion, times), frame_time=1.0 / fps)
+
+
+def sample_bvh(motion: BvhMotion, times: Floats) -> BvhMotion:
+    """Interpolate the motion at `times`, in frames of the file."""
+    before = np.floor(times).astype(np.int64)
     after = np.minimum(before + 1, len(motion.positions) - 1)
-    fraction = position - before
+    fraction = times - before
     positions = motion.positions[before]
     positions = positions + fraction[:, None, None] * (motion.positions[after] - positions)
-    fractions = np.broadcast_to(fraction[:, None], (count, len(motion.bones)))
+    fractions = np.broadcast_to(fraction[:, None], (len(times), len(motion.bones)))
     rotations = slerp(motion.rotations[before], motion.rotations[after], fractions)
-    return replace(motion, positions=positions, rotations=rotations, frame_time=1.0 / fps)
+    return replace(motion, positions=positions, rotations=rotations)
+
+
+def read_recording(path: Path) -> Recording:
+    """Read a BVH file as a recording; its rest pose is that of the OFFSETs.
+
+    Raises:
+        InvalidInputError: see `read_bvh`.
+    """
+    motion = read_bvh(path)
+    rest = replace(
+        motion,
+        positions=np.array([[bone.offset for bone in motion.bones]]),
+        rotations=np.tile(np.array(IDENTITY), (1, len(motion.bones), 1)),
+    )
+    return Recording(
+        names=motion.names,
+        frames=len(motion.positions),
+        fps=nominal_fps(1.0 / motion.frame_time),
+        sample=lambda times: joint_positions(sample_bvh(motion, times)),
+        rest=joint_positions(rest)[0],
+        warnings=motion.warnings,
+    )
 
 
 def joint_positions(motion: BvhMotion) -> Floats:
@@ -155,6 +204,7 @@ def _parse_hierarchy(head: str) -> list[Bone]:
             name = parent.name + END if key == "END" and parent else " ".join(words[1:])
             stack.append(_OpenJoint(name, parent.index if parent else -1, index=count))
             count += 1
+            check_size(1, count, "the file has at least")
         elif not stack:
             raise InvalidInputError(f"{line.strip()!r} stands outside of every joint in the HIERARCHY part")
         elif key == "OFFSET":
@@ -194,36 +244,68 @@ def _parse_channels(name: str, words: list[str]) -> tuple[str, ...]:
     return channels
 
 
-def _parse_motion(text: str) -> tuple[int, float, Floats]:
-    """Parse the MOTION part; returns number of frames, frame time in seconds, and all values in one row."""
-    words = text.split()
+def _parse_header(text: str) -> tuple[int, float, int]:
+    """Parse the start of the MOTION part; returns number of frames, frame time in seconds, and where it ends.
+
+    Raises:
+        InvalidInputError: other words, no frames, or a frame rate outside `MIN_FPS` to `MAX_FPS`.
+    """
+    header = _HEADER.match(text)
     try:
-        if words[0].rstrip(":") != "Frames" or [words[2], words[3].rstrip(":")] != ["Frame", "Time"]:
+        if header is None:
             raise ValueError("other words")
-        frames, frame_time = int(words[1]), float(words[4])
-    except (IndexError, ValueError) as error:
+        frames, frame_time = int(header[1]), float(header[2])
+    except ValueError as error:
         raise InvalidInputError('the MOTION part must start with "Frames: N" and "Frame Time: SECONDS"') from error
     if frames < 1 or not (np.isfinite(frame_time) and frame_time > 0):
-        raise InvalidInputError(f"{frames} frames of {frame_time} seconds; both must be above 0")
-    try:
-        return frames, frame_time, np.array(words[5:], dtype=np.float64)
-    except ValueError as error:
-        raise InvalidInputError(f"the MOTION part must hold numbers only ({error})") from error
+        raise InvalidInputError(f"{short_repr(frames)} frames of {frame_time} seconds; both must be above 0")
+    if not MIN_FPS <= 1.0 / frame_time <= MAX_FPS:
+        raise InvalidInputError(
+            f"Frame Time is {frame_time:g} seconds, which is {1.0 / frame_time:.4g} frames per second, not {MIN_FPS:g} "
+            f"to {MAX_FPS:g}; write the seconds of one frame there, for example 0.033333"
+        )
+    return frames, frame_time, header.end()
 
 
-def _local_motion(bones: list[Bone], values: Floats) -> tuple[Floats, Floats]:
-    """Compute positions and rotations relative to the parents from channel values (frames, channels)."""
+def _parse_values(text: str, start: int, most: int) -> Floats:
+    """Parse the numbers from `start` on, in one row; stops above `most`.
+
+    Raises:
+        InvalidInputError: other words.
+    """
+    blocks: list[Floats] = []
+    while start < len(text) and sum(map(len, blocks)) <= most:
+        space = _SPACE.search(text, min(start + _BLOCK, len(text)))
+        stop = space.end() if space else len(text)
+        try:
+            blocks.append(np.array(text[start:stop].split(), dtype=np.float64))
+        except ValueError as error:
+            raise InvalidInputError(f"the MOTION part must hold numbers only ({str(error)[:200]})") from error
+        start = stop
+    return np.concatenate([np.zeros(0), *blocks])
+
+
+def _local_motion(bones: list[Bone], values: Floats) -> tuple[Floats, Floats, int]:
+    """Compute positions and rotations relative to the parents from channel values (frames, channels).
+
+    Position channels replace the OFFSET, as in Bandai Namco's files and for roots of motion capture. Below the root,
+    channels that are zero throughout would put a joint onto its parent: the OFFSET stays. The joints for which it did
+    are counted.
+    """
     positions = np.tile(np.array([bone.offset for bone in bones]), (len(values), 1, 1))
     rotations = np.tile(np.array(IDENTITY), (len(values), len(bones), 1))
-    column = 0
+    column, unused = 0, 0
     for index, bone in enumerate(bones):
-        for channel in bone.channels:
-            axis, column_values = AXES[channel[0]], values[:, column]
-            column += 1
-            if channel.endswith("position"):
-                # Position channels replace the OFFSET, as in Bandai Namco's files and for roots of motion capture.
-                positions[:, index, axis] = column_values
-            else:
+        columns = range(column, column + len(bone.channels))
+        column = columns.stop
+        moving = [at for at, channel in zip(columns, bone.channels, strict=True) if channel.endswith("position")]
+        ignored = bool(moving) and bone.parent >= 0 and any(bone.offset) and not values[:, moving].any()
+        unused += ignored
+        for at, channel in zip(columns, bone.channels, strict=True):
+            axis = AXES[channel[0]]
+            if at not in moving:
                 # The channel named first is the outermost rotation.
-                rotations[:, index] = multiply(rotations[:, index], about_axis(axis, np.radians(column_values)))
-    return positions, rotations
+                rotations[:, index] = multiply(rotations[:, index], about_axis(axis, np.radians(values[:, at])))
+            elif not ignored:
+                positions[:, index, axis] = values[:, at]
+    return positions, rotations, unused

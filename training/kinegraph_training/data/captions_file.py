@@ -7,12 +7,19 @@ caption.
 from __future__ import annotations
 
 import csv
+import io
 import json
+import re
+import unicodedata
 from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 
 from kinegraph.errors import InvalidInputError
 from kinegraph.limits import MAX_TEXT
+from kinegraph.validation import short_repr
+from kinegraph_training.data.recording import read_bytes
+
+_KEYS = frozenset(("file", "caption", "captions"))
 
 Line = tuple[int, str, str]
 """Line number, name of a motion file, caption."""
@@ -35,17 +42,18 @@ def read_captions(path: Path) -> dict[str, tuple[str, ...]]:
     if reader is None:
         raise InvalidInputError(f"{path} must end in {', '.join(readers)}")
     try:
-        text = path.read_text(encoding="utf-8-sig")
-    except OSError as error:
-        raise InvalidInputError(f"{path} cannot be read ({error.strerror}); check the name") from error
+        text = read_bytes(path).decode("utf-8-sig")
     except UnicodeDecodeError as error:
         raise InvalidInputError(f"{path} is not UTF-8 ({error.reason}); save it as UTF-8") from error
+    except InvalidInputError as error:
+        raise InvalidInputError(f"{path}: {error}") from error
     captions: dict[str, list[str]] = {}
     for number, name, caption in reader(path, text):
         words = " ".join(caption.split())
         if not any(letter.isalnum() for letter in words) or len(words) > MAX_TEXT:
             allowed = f"must have words and at most {MAX_TEXT} characters"
             raise InvalidInputError(f"{path}, line {number}: the caption {words[:40]!r} {allowed}")
+        _check_characters(f"{path}, line {number}", name + words)
         if not name.strip():
             raise InvalidInputError(f"{path}, line {number}: no file is named")
         captions.setdefault(name.strip(), []).append(words)
@@ -77,15 +85,15 @@ def match_captions(captions: Mapping[str, tuple[str, ...]], ids: Iterable[str]) 
     unmatched = []
     for name, texts in captions.items():
         plain = name.replace("\\", "/").removeprefix("./")
-        plain = plain[: -len(".bvh")] if plain.lower().endswith(".bvh") else plain
+        plain = re.sub(r"\.(bvh|glb)$", "", plain, flags=re.IGNORECASE)
         hits = [plain] if plain in result else by_name.get(plain, [])
         if len(hits) == 1:
             result[hits[0]] += texts
         else:
             unmatched.append(f"{name} (which of {', '.join(hits)}?)" if hits else name)
     uncaptioned = [clip_id for clip_id, texts in result.items() if not texts]
-    problems = [f"captions without a BVH file: {_list_names(unmatched)}"] if unmatched else []
-    problems += [f"BVH files without a caption: {_list_names(uncaptioned)}"] if uncaptioned else []
+    problems = [f"captions without a file: {_list_names(unmatched)}"] if unmatched else []
+    problems += [f"files without a caption: {_list_names(uncaptioned)}"] if uncaptioned else []
     if problems:
         raise InvalidInputError("; ".join(problems))
     return result
@@ -103,7 +111,12 @@ def _json_lines(path: Path, text: str) -> Iterator[Line]:
         try:
             row = json.loads(line)
         except (ValueError, RecursionError) as error:
-            raise InvalidInputError(f"{path}, line {number}: no JSON ({error})") from error
+            raise InvalidInputError(f"{path}, line {number}: no JSON ({str(error)[:200]})") from error
+        if isinstance(row, dict) and (set(row) - _KEYS or set(row) >= _KEYS):
+            raise InvalidInputError(
+                f"{path}, line {number}: has {', '.join(map(short_repr, list(row)[:10]))}; must have file, and either "
+                "caption or captions"
+            )
         match row:
             case {"file": str() as name, "captions": [*texts]} if texts and all(isinstance(t, str) for t in texts):
                 yield from ((number, name, caption) for caption in texts)
@@ -113,24 +126,45 @@ def _json_lines(path: Path, text: str) -> Iterator[Line]:
                 raise InvalidInputError(f'{path}, line {number}: must be {{"file": "x.bvh", "captions": ["..."]}}')
 
 
+def _check_characters(where: str, text: str) -> None:
+    """Refuse halves of surrogate pairs and control characters: no file can hold the first, nobody means the second."""
+    bad = next((letter for letter in text if unicodedata.category(letter) in ("Cs", "Cc")), None)
+    if bad is not None:
+        raise InvalidInputError(f"{where}: the character U+{ord(bad):04X} is no text; remove it")
+
+
 def _comma_rows(path: Path, text: str) -> Iterator[Line]:
-    return _rows(path, text, ",")
+    return _rows(path, text, _find_separator(text))
 
 
 def _tab_rows(path: Path, text: str) -> Iterator[Line]:
     return _rows(path, text, "\t")
 
 
-def _rows(path: Path, text: str, delimiter: str) -> Iterator[Line]:
-    reader = csv.reader(text.splitlines(), delimiter=delimiter)
+def _find_separator(text: str) -> str:
+    """Find what separates the columns of a .csv: a comma, or the semicolon or tab that some programs write.
+
+    The first separator in the first line is it, unless the line is quoted up to another one: names of files have none.
+    """
+    first = next((line for line in text.splitlines() if line.strip()), "")
+    outside = re.sub(r'^\s*"(?:[^"]|"")*"', "", first)
+    return min(",;\t", key=lambda separator: (outside.find(separator) % (len(outside) + 1), ",;\t".index(separator)))
+
+
+def _rows(path: Path, text: str, separator: str) -> Iterator[Line]:
+    # newline="": line ends within quotes are left to csv, which keeps them
+    reader = csv.reader(io.StringIO(text, newline=""), delimiter=separator)
+    name = {";": "semicolon", "\t": "tab"}.get(separator, "comma")
     try:
         for row in reader:
-            if not row or [cell.strip().lower() for cell in row] == ["file", "caption"]:
+            if not any(cell.strip() for cell in row) and len(row) < 2:
+                continue
+            if [cell.strip().lower() for cell in row] == ["file", "caption"]:
                 continue
             if len(row) != 2:
                 raise InvalidInputError(
-                    f"{path}, line {reader.line_num}: {len(row)} columns instead of file and caption; "
-                    "put captions with separators in quotes"
+                    f"{path}, line {reader.line_num}: {len(row)} columns instead of file and caption, separated by a "
+                    f"{name}; put captions with separators in quotes"
                 )
             yield reader.line_num, row[0], row[1]
     except csv.Error as error:

@@ -16,11 +16,14 @@ import numpy as np
 
 from kinegraph.arrays import FloatArray
 from kinegraph.errors import InvalidInputError
-from kinegraph.motion.skeleton import mirrored
+from kinegraph.motion.skeleton import HORIZONTAL, PELVIS, facing_angle, mirrored
 
 AT_ONCE: Final = "+"
 IN_ORDER: Final = ">"
 """Join the labels of several actions in index.jsonl and in the names of compositions."""
+
+MIRRORED: Final = "~mirror"
+"""End of the id of a mirror image."""
 
 OPPOSITE = {"left": "right", "leftward": "rightward", "leftwards": "rightwards", "clockwise": "counterclockwise"}
 OPPOSITE |= {other: word for word, other in OPPOSITE.items()}
@@ -45,7 +48,7 @@ class MotionClip:
     steps: int | None = None
     """Number of steps taken, where the index counts them."""
     any_length: bool = False
-    """Whether its length was drawn at random, and so says nothing of how long its captions usually take."""
+    """Whether its length was drawn at random or cut, and so says nothing of how long its captions usually take."""
     partial_captions: tuple[str, ...] = ()
     """Sentences, each of a part of what the clip shows: one of several actions at once."""
     made_by: str = ""
@@ -71,6 +74,15 @@ def _opposite(match: re.Match[str]) -> str:
     return other.capitalize() if word[0].isupper() else other
 
 
+def start_at_origin(joints: FloatArray) -> FloatArray:
+    """Move and turn a clip over the floor so that it starts at x = z = 0 and faces +Z; heights stay."""
+    moved = joints - joints[0, PELVIS] * HORIZONTAL.astype(np.float32)
+    heading = float(facing_angle(moved[:1])[0])
+    cos, sin = np.cos(heading), np.sin(heading)
+    x, y, z = moved[..., 0], moved[..., 1], moved[..., 2]
+    return np.stack([cos * x - sin * z, y, sin * x + cos * z], axis=-1).astype(np.float32)
+
+
 def mirrored_label(label: str) -> str:
     """Exchange left and right in a label: `wave-left-hand` -> `wave-right-hand`."""
     return mirrored_caption(label)
@@ -80,7 +92,7 @@ def mirrored_clip(clip: MotionClip) -> MotionClip:
     """Exchange left and right in the motion, the captions and the labels."""
     return replace(
         clip,
-        id=f"{clip.id}~mirror",
+        id=clip.id + MIRRORED,
         joints=mirrored(clip.joints),
         captions=tuple(mirrored_caption(caption) for caption in clip.captions),
         partial_captions=tuple(mirrored_caption(caption) for caption in clip.partial_captions),
@@ -130,6 +142,8 @@ def read_split(folder: Path, split: str) -> list[MotionClip]:
                 style=row.get("style_canon", ""),
                 in_order=IN_ORDER in label,
                 steps=row.get("attr", {}).get("steps"),
+                # where a recording was cut says nothing of how long its action takes
+                any_length="start" in row,
             )
         )
     return clips

@@ -5,6 +5,8 @@ from __future__ import annotations
 import hashlib
 import io
 import json
+import secrets
+import shutil
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -28,7 +30,7 @@ class PreparedClip:
     """Clip as it is stored in a data folder."""
 
     id: str
-    """Path below the folder, without suffix, with `/`."""
+    """Path below the folder, without suffix, with `/`; a window of a long clip has its number behind: `walk#2`."""
     joints: FloatArray
     """(frames, 22, 3) metres."""
     captions: tuple[str, ...]
@@ -37,12 +39,14 @@ class PreparedClip:
     action: str = ""
     """Label of its action, if it has one; labels of several at once are joined by `+`."""
     style: str = ""
+    start: float | None = None
+    """Seconds from the start of the recording, for a window of a long one."""
 
 
 def assign_splits(ids: Sequence[str], *, val: float, test: float) -> dict[str, str]:
     """Assign each clip to a split by a hash of its id.
 
-    A split with a share above 0 that gets no clip takes one of `train`.
+    A split with a share above 0 that gets no clip takes one of `train`, which always has one.
 
     Args:
         ids: of all clips.
@@ -54,6 +58,8 @@ def assign_splits(ids: Sequence[str], *, val: float, test: float) -> dict[str, s
         name: "test" if fraction < test else "val" if fraction < test + val else "train"
         for name, fraction in fractions.items()
     }
+    if ids and "train" not in splits.values():
+        splits[max(ids, key=lambda name: fractions[name])] = "train"
     for split, share in (("val", val), ("test", test)):
         left = sorted((name for name in ids if splits[name] == "train"), key=lambda name: fractions[name])
         if share > 0 and split not in splits.values() and len(left) > 1:
@@ -62,47 +68,105 @@ def assign_splits(ids: Sequence[str], *, val: float, test: float) -> dict[str, s
 
 
 def write_data(out: Path, clips: Sequence[PreparedClip], fps: float) -> None:
-    """Write a data folder, its index last: training refuses a folder whose writing failed half-way.
+    """Write a data folder whole or not at all.
+
+    A new folder appears under its name when it is complete. Of one that exists, the files are replaced when all the new
+    ones are complete, the index last: training refuses a folder in which a power cut left none.
 
     Raises:
-        OutputError: the folder cannot be written.
+        OutputError: the folder cannot be written; it is as it was before.
     """
+    files = {
+        f"{split}.npz": pack_clips([(clip.id, clip.joints) for clip in clips if clip.split == split], fps)
+        for split in SPLITS
+    }
+    files["captions.jsonl"] = to_json_lines(
+        [{"id": clip.id, "split": clip.split, "captions": list(clip.captions)} for clip in clips]
+    )
+    files["index.jsonl"] = to_json_lines([_index_row(clip, fps) for clip in clips])
+    write_files(out, files)
+
+
+def write_files(out: Path, files: Mapping[str, bytes]) -> None:
+    """Write the files of a data folder, all or none; the last one appears last.
+
+    Raises:
+        OutputError: the folder cannot be written; it is as it was before.
+    """
+    # a folder that exists may be a mount point, or its parent write-protected
+    stage = (out if out.is_dir() else out.parent) / f".kinegraph-{secrets.token_hex(8)}.tmp"
     try:
-        out.mkdir(parents=True, exist_ok=True)
+        try:
+            stage.mkdir(parents=True)
+            for name, data in files.items():
+                write_atomically(stage / name, data)
+            _replace(stage, out, list(files))
+        finally:
+            shutil.rmtree(stage, ignore_errors=True)
     except OSError as error:
-        raise OutputError(f"{out} cannot be made ({error.strerror}); choose another folder") from error
-    for split in SPLITS:
-        members = [(clip.id, clip.joints) for clip in clips if clip.split == split]
-        write_atomically(out / f"{split}.npz", pack_clips(members, fps))
-    captions = [{"id": clip.id, "split": clip.split, "captions": list(clip.captions)} for clip in clips]
-    rate = int(fps) if fps == int(fps) else fps
-    index = [
-        {
-            "id": clip.id,
-            "frames": len(clip.joints),
-            "fps": rate,
-            "source_file": clip.source_file,
-            "split": clip.split,
-            **({"content": clip.action, "style_canon": clip.style} if clip.action else {}),
-        }
-        for clip in clips
-    ]
-    write_atomically(out / "captions.jsonl", to_json_lines(captions))
-    write_atomically(out / "index.jsonl", to_json_lines(index))
+        reason = getattr(error.__cause__ or error, "strerror", None) or str(error)
+        raise OutputError(f"{out} cannot be written ({reason}); free some space or choose another folder") from error
+
+
+def _replace(stage: Path, out: Path, names: Sequence[str]) -> None:
+    """Move the files of `stage` to `out`, in which files of other names stay; after a failure all is as before."""
+    if not out.exists():
+        stage.rename(out)
+        return
+    old = out / f"{stage.stem}-old.tmp"
+    old.mkdir()
+    moved: list[Path] = []
+    try:
+        for name in reversed(names):  # the index first: the folder is incomplete until its new index is there
+            if (out / name).exists():
+                (out / name).rename(old / name)
+        for name in names:
+            (stage / name).rename(out / name)
+            moved.append(out / name)
+    except BaseException:
+        for path in moved:
+            path.unlink()
+        for name in names:
+            if (old / name).exists():
+                (old / name).rename(out / name)
+        raise
+    finally:
+        shutil.rmtree(old, ignore_errors=True)
+
+
+def _index_row(clip: PreparedClip, fps: float) -> dict[str, Any]:
+    """Return the line of a clip in index.jsonl."""
+    row: dict[str, Any] = {
+        "id": clip.id,
+        "frames": len(clip.joints),
+        "fps": int(fps) if fps == int(fps) else fps,
+        "source_file": clip.source_file,
+        "split": clip.split,
+    }
+    if clip.action:
+        row |= {"content": clip.action, "style_canon": clip.style}
+    return row if clip.start is None else {**row, "start": round(clip.start, 3)}
 
 
 def pack_clips(clips: Sequence[tuple[str, FloatArray]], fps: float) -> bytes:
-    """Pack clips, given as id and joints (frames, 22, 3), into the .npz of a split."""
-    joints = np.concatenate([np.zeros((0, JOINTS, 3)), *(joints.astype(np.float64) for _, joints in clips)])
-    root = joints[:, PELVIS, [0, 2]].astype(np.float32)
-    joints[..., [0, 2]] -= root[:, None].astype(np.float64)
+    """Pack clips, given as id and joints (frames, 22, 3), into the .npz of a split.
+
+    Joints are 16-bit numbers, relative to the pelvis on the floor plane.
+    """
+    packed, roots = [np.zeros((0, JOINTS, 3), dtype=np.int16)], [np.zeros((0, 2), dtype=np.float32)]
+    for _, clip in clips:
+        joints = clip.astype(np.float64)
+        root = joints[:, PELVIS, [0, 2]].astype(np.float32)
+        joints[..., [0, 2]] -= root[:, None].astype(np.float64)
+        packed.append(np.round(joints / STEP_METRES).astype(np.int16))
+        roots.append(root)
     buffer = io.BytesIO()
     np.savez_compressed(
         buffer,
         ids=np.array([name for name, _ in clips], dtype=np.str_),
         offsets=np.cumsum([0, *(len(joints) for _, joints in clips)], dtype=np.int64),
-        joints=np.round(joints / STEP_METRES).astype(np.int16),
-        root_xz=root,
+        joints=np.concatenate(packed),
+        root_xz=np.concatenate(roots),
         scale=np.float32(STEP_METRES),
         fps=np.int32(fps) if fps == int(fps) else np.float32(fps),
     )
@@ -110,7 +174,6 @@ def pack_clips(clips: Sequence[tuple[str, FloatArray]], fps: float) -> bytes:
 
 
 def to_json_lines(rows: Sequence[Mapping[str, Any]]) -> bytes:
-    """Encode rows as JSON lines."""
     return "".join(json.dumps(row, ensure_ascii=False) + "\n" for row in rows).encode()
 
 

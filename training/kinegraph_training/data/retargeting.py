@@ -1,16 +1,14 @@
 """Retargeting by joint names: the 22 joints of `kinegraph.motion.skeleton` from other skeletons.
 
 A joint is taken from a source joint, from its End Site (`"Foot.end"`), or from a point on the line between two source
-joints (`("Hips", "Spine", 0.5)` is half way). Names are compared without case, separators and prefixes such as
-`mixamorig:`.
+joints (`("Hips", "Spine", 0.5)` is half way). Names are compared in the plain form of `naming`.
 """
 
 from __future__ import annotations
 
 import json
-import re
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final
 
@@ -18,112 +16,20 @@ import numpy as np
 
 from kinegraph.arrays import Floats
 from kinegraph.errors import InvalidInputError
-from kinegraph.motion.skeleton import JOINT_INDEX, JOINT_NAMES
-from kinegraph_training.data.bvh import END
+from kinegraph.motion.skeleton import JOINT_INDEX, JOINT_NAMES, JOINTS, PARENTS, bone_lengths
+from kinegraph.validation import finite_number, short_repr
+from kinegraph_training.data.naming import END, NAMING_CONVENTIONS, plain_name, strip_common_prefix
+from kinegraph_training.data.recording import read_bytes
 
 Point = tuple[str, str, float]
 Source = str | Point
 """Name of a source joint, or a point between two."""
 
-_PREFIX: Final = re.compile(r"^(mixamorig\d*|ccbase|mavg|favg|bip0*1)(?=.)")
+SHORTEST_BONE: Final = 0.003
+"""Length of a bone, as a share of all 21 together, below which its joints lie on each other: 1.4 cm of an adult."""
 
-
-def _both_sides(middle: dict[str, str], sided: dict[str, str]) -> dict[str, tuple[str, ...]]:
-    """Expand a table of names; `{side}` becomes left or right, `{s}` l or r, and `|` separates alternatives."""
-    table = {joint: tuple(names.split("|")) for joint, names in middle.items()}
-    for joint, names in sided.items():
-        for side in ("left", "right"):
-            table[f"{side}_{joint}"] = tuple(names.format(side=side, s=side[0]).split("|"))
-    return table
-
-
-_MIXAMO_LIMBS: Final = {
-    "hip": "{side}upleg",
-    "knee": "{side}leg",
-    "ankle": "{side}foot",
-    "foot": "{side}toebase|{side}toe|{side}foot.end",
-    "collar": "{side}shoulder",
-    "shoulder": "{side}arm",
-    "elbow": "{side}forearm",
-    "wrist": "{side}hand",
-}
-
-NAMING_CONVENTIONS: Final[dict[str, dict[str, tuple[str, ...]]]] = {
-    "SMPL": _both_sides(
-        {joint: joint.replace("_", "") for joint in ("pelvis", "spine1", "spine2", "spine3", "neck", "head")},
-        {part: f"{{side}}{part}|{{s}}{part}" for part in ("hip", "knee", "ankle", "collar", "shoulder", "elbow")}
-        | {"foot": "{side}foot|{s}foot|{side}toe|{s}toe", "wrist": "{side}wrist|{s}wrist"},
-    ),
-    "CMU": _both_sides(
-        {
-            "pelvis": "hips",
-            "spine1": "lowerback",
-            "spine2": "spine",
-            "spine3": "spine1",
-            "neck": "neck",
-            "head": "head",
-        },
-        _MIXAMO_LIMBS,
-    ),
-    "Mixamo, LaFAN1": _both_sides(
-        {
-            "pelvis": "hips",
-            "spine1": "spine",
-            "spine2": "spine1",
-            "spine3": "spine2",
-            "neck": "neck",
-            "head": "head",
-        },
-        _MIXAMO_LIMBS,
-    ),
-    "Bandai Namco": _both_sides(
-        {"pelvis": "hips", "spine2": "spine", "spine3": "chest", "neck": "neck", "head": "head"},
-        {
-            "hip": "upperleg{s}",
-            "knee": "lowerleg{s}",
-            "ankle": "foot{s}",
-            "foot": "toes{s}|foot{s}.end",
-            "collar": "shoulder{s}",
-            "shoulder": "upperarm{s}",
-            "elbow": "lowerarm{s}",
-            "wrist": "hand{s}",
-        },
-    ),
-    "cgspeed": _both_sides(
-        {"pelvis": "hip", "spine1": "abdomen", "spine2": "chest", "neck": "neck", "head": "head"},
-        {
-            "hip": "{s}thigh",
-            "knee": "{s}shin",
-            "ankle": "{s}foot",
-            "foot": "{s}toe|{s}foot.end",
-            "collar": "{s}collar",
-            "shoulder": "{s}shldr",
-            "elbow": "{s}forearm",
-            "wrist": "{s}hand",
-        },
-    ),
-    "Character Creator": _both_sides(
-        {
-            "pelvis": "hip",
-            "spine1": "waist",
-            "spine2": "spine01",
-            "spine3": "spine02",
-            "neck": "necktwist01",
-            "head": "head",
-        },
-        {
-            "hip": "{s}thigh",
-            "knee": "{s}calf",
-            "ankle": "{s}foot",
-            "foot": "{s}toebase|{s}foot.end",
-            "collar": "{s}clavicle",
-            "shoulder": "{s}upperarm",
-            "elbow": "{s}forearm",
-            "wrist": "{s}hand",
-        },
-    ),
-}
-"""By naming convention and joint: names that the joint may have, without case, separators and prefix."""
+_MAX_LISTED: Final = 80
+"""Names that an error message lists."""
 
 OPTIONAL: Final = frozenset({"spine1", "spine2", "spine3", "left_collar", "right_collar"})
 """Joints that are interpolated between their neighbours where a skeleton lacks them."""
@@ -150,24 +56,56 @@ def find_joint_map(names: tuple[str, ...], overrides: Mapping[str, Source] | Non
         InvalidInputError: joints that are not optional have no source; the message names them.
     """
     known: dict[str, str] = {}
-    for name in names:
-        known.setdefault(plain_name(name), name)
-    overriding = {joint: _resolve(joint, source, known) for joint, source in (overrides or {}).items()}
+    for form in (strip_common_prefix(names), names):
+        for name, short in zip(names, form, strict=True):
+            known.setdefault(plain_name(short), name)
+    overriding = {joint: _resolve(joint, source, known, names) for joint, source in (overrides or {}).items()}
     sources: dict[str, dict[str, Source]] = {}
     for convention, table in NAMING_CONVENTIONS.items():
         hits = (
             (joint, next((known[name] for name in wanted if name in known), None)) for joint, wanted in table.items()
         )
-        sources[convention] = {**{joint: name for joint, name in hits if name is not None}, **overriding}
+        found: dict[str, Source] = {**{joint: name for joint, name in hits if name is not None}, **overriding}
+        sources[convention] = _toes_from_ends(found, names)
     convention = max(sources, key=lambda candidate: len(sources[candidate]))
     missing = [joint for joint in JOINT_NAMES if joint not in sources[convention] and joint not in OPTIONAL]
     if missing:
         raise InvalidInputError(
             f"no joint found for {', '.join(missing)} (closest naming: {convention}). The file has "
-            f"{', '.join(name for name in names if not name.endswith(END))}. Write a map file, for example "
-            f'{{"{missing[0]}": "NAME IN THE FILE"}}, and pass it with --map'
+            f"{list_names(names)} (NAME{END} is the End Site of NAME, and can be mapped). Write a map file, for "
+            f'example {{"{missing[0]}": "NAME IN THE FILE"}}, and pass it with --map'
         )
     return JointMap(convention, sources[convention])
+
+
+def list_names(names: Sequence[str]) -> str:
+    """List names for a message, End Sites left out, at most `_MAX_LISTED` of them."""
+    listed = [name[:60] for name in names if not name.endswith(END)]
+    more = len(listed) - _MAX_LISTED
+    return ", ".join(listed[:_MAX_LISTED]) + (f" and {more} more" if more > 0 else "")
+
+
+def without_zero_length(joint_map: JointMap, positions: Floats, names: tuple[str, ...]) -> tuple[JointMap, list[str]]:
+    """Drop sources of `OPTIONAL` joints that lie on a neighbour: CMU's LowerBack lies on the Hips, its Neck on Spine1.
+
+    Args:
+        joint_map: of `find_joint_map`.
+        positions: (frames, n, 3) of the source joints.
+        names: of the n source joints.
+
+    Returns:
+        The map, and the joints that it no longer has.
+    """
+    joints = map_joints(positions, names, joint_map)
+    lengths = bone_lengths(joints).mean(axis=0)
+    shortest = SHORTEST_BONE * lengths.sum()
+    dropped: list[str] = []
+    for child in range(1, JOINTS):
+        ends = (JOINT_NAMES[child], JOINT_NAMES[PARENTS[child]])
+        if lengths[child - 1] < shortest and not any(joint in dropped for joint in ends):
+            dropped += [joint for joint in ends if joint in OPTIONAL and joint in joint_map.sources][:1]
+    kept = {joint: source for joint, source in joint_map.sources.items() if joint not in dropped}
+    return replace(joint_map, sources=kept), dropped
 
 
 def read_map(path: Path) -> dict[str, Source]:
@@ -177,16 +115,16 @@ def read_map(path: Path) -> dict[str, Source]:
         InvalidInputError: no such file, no JSON, an unknown joint, or another kind of entry.
     """
     try:
-        entries = json.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise InvalidInputError(f"{path} cannot be read ({error.strerror}); check the name") from error
-    except ValueError as error:
-        raise InvalidInputError(f"{path} is no JSON ({error})") from error
+        entries = json.loads(read_bytes(path).decode("utf-8-sig"))
+    except InvalidInputError as error:
+        raise InvalidInputError(f"{path}: {error}") from error
+    except (ValueError, RecursionError) as error:
+        raise InvalidInputError(f"{path} is no JSON ({str(error)[:200]})") from error
     if not isinstance(entries, dict):
         raise InvalidInputError(f'{path} must be an object such as {{"pelvis": "Hips"}}')
     unknown = [joint for joint in entries if joint not in JOINT_INDEX]
     if unknown:
-        raise InvalidInputError(f"{path} maps {', '.join(unknown)}; joints are {', '.join(JOINT_NAMES)}")
+        raise InvalidInputError(f"{path} maps {', '.join(unknown[:10])!r}; joints are {', '.join(JOINT_NAMES)}")
     return {joint: _parse_source(path, joint, entry) for joint, entry in entries.items()}
 
 
@@ -216,11 +154,13 @@ def map_joints(positions: Floats, names: tuple[str, ...], joint_map: JointMap) -
     return np.stack([joints[joint] for joint in JOINT_NAMES], axis=1)
 
 
-def plain_name(name: str) -> str:
-    """Strip case, separators, name space (`rig:`) and known prefixes; an End Site keeps its `.end`."""
-    body, end = (name[: -len(END)], END) if name.endswith(END) else (name, "")
-    plain = re.sub(r"[\W_]+", "", body.rpartition(":")[2].lower())
-    return _PREFIX.sub("", plain) + end
+def _toes_from_ends(sources: dict[str, Source], names: tuple[str, ...]) -> dict[str, Source]:
+    """Take toes that a skeleton lacks from the End Sites of its ankles."""
+    for side in ("left", "right"):
+        ankle, end = sources.get(f"{side}_ankle"), f"{sources.get(f'{side}_ankle')}{END}"
+        if isinstance(ankle, str) and f"{side}_foot" not in sources and end in names:
+            sources[f"{side}_foot"] = end
+    return sources
 
 
 def _fill_spine(joints: dict[str, Floats]) -> None:
@@ -244,19 +184,19 @@ def _parse_source(path: Path, joint: str, entry: object) -> Source:
     match entry:
         case str():
             return entry
-        case [str() as start, str() as end, int() | float() as share] if not isinstance(share, bool):
+        case [str() as start, str() as end, int() | float() as share] if finite_number(share) is not None:
             return start, end, float(share)
-    raise InvalidInputError(f'{path}: {joint} is {entry!r}; it must be "NAME" or ["NAME", "NAME", 0.5]')
+    raise InvalidInputError(f'{path}: {joint} is {short_repr(entry)}; it must be "NAME" or ["NAME", "NAME", 0.5]')
 
 
-def _resolve(joint: str, source: Source, known: Mapping[str, str]) -> Source:
-    """Translate the names of a map entry into those of the file."""
+def _resolve(joint: str, source: Source, known: Mapping[str, str], names: tuple[str, ...]) -> Source:
+    """Translate the names of a map entry into those of the file: the very name, or one of the same plain form."""
     wanted = (source,) if isinstance(source, str) else source[:2]
-    names = [known.get(plain_name(name)) for name in wanted]
-    for name, hit in zip(wanted, names, strict=True):
+    hits = [name if name in names else known.get(plain_name(name)) for name in wanted]
+    for name, hit in zip(wanted, hits, strict=True):
         if hit is None:
             raise InvalidInputError(
-                f"the map takes {joint} from {name!r}, which the file lacks; it has {', '.join(known.values())}"
+                f"the map takes {joint} from {name[:60]!r}, which the file lacks; it has {list_names(names)}"
             )
-    resolved = [name for name in names if name is not None]
+    resolved = [name for name in hits if name is not None]
     return resolved[0] if isinstance(source, str) else (resolved[0], resolved[1], source[2])

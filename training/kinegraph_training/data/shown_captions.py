@@ -14,9 +14,19 @@ from pathlib import Path
 from typing import Final
 
 from kinegraph.errors import InvalidInputError
-from kinegraph_training.data.clips import AT_ONCE, IN_ORDER, MotionClip, mirrored_caption, mirrored_label, read_jsonl
+from kinegraph_training.data.clips import (
+    AT_ONCE,
+    IN_ORDER,
+    MIRRORED,
+    MotionClip,
+    mirrored_caption,
+    mirrored_label,
+    read_jsonl,
+)
 
 FILE: Final = "captions.jsonl"
+COUNTED: Final = ("bent", "gestures")
+"""Synthetic clips that show what no recording may show (`MotionClip.made_by`); they count as recorded ones do."""
 
 
 @dataclass(frozen=True)
@@ -28,7 +38,7 @@ class ShownCaptions:
     """Label of each action; none where the data has no labels."""
     style: str
     recorded: bool
-    """False for clips that were composed, cut or mirrored from others."""
+    """Whether it counts as a clip of its actions: false for what was composed, cut or mirrored from others."""
 
 
 def write_shown_captions(run: Path, clips: Iterable[MotionClip], recorded: Iterable[str]) -> None:
@@ -45,7 +55,7 @@ def write_shown_captions(run: Path, clips: Iterable[MotionClip], recorded: Itera
             "captions": clip.captions,
             "actions": clip.actions,
             "style": clip.style,
-            "recorded": clip.id in ids,
+            "recorded": clip.id in ids or (clip.made_by in COUNTED and not clip.id.endswith(MIRRORED)),
         }
         for clip in clips
     )

@@ -46,7 +46,7 @@ class ActionTable:
 
     def canonical(self, label: str) -> str | None:
         """Return the table's label for a label of a data set; None for one that it does not know."""
-        return self.names.get(label)
+        return self.names.get(label.lower())
 
     def get(self, label: str) -> Action | None:
         """Return the action of a canonical label, if there is one."""

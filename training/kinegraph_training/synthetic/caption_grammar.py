@@ -1,98 +1,34 @@
 """Wording of synthetic captions: verb phrases per action, adverbial phrases per style, and sentence templates.
 
-Templates name `{subject}`; `{a}` and `{b}`, finite verb phrases ("walks"); `{a_ing}` and `{b_ing}`, participles that
-follow "while" ("walking"); and `{n}`, a number of steps.
+Templates name `{subject}`; `{a}`, `{b}` and `{c}`, finite verb phrases ("walks"); `{a_ing}` and so on, participles that
+follow "while" ("walking"); and `{n}`, a number of steps. The verb phrases are those of the action table.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import re
+from collections.abc import Sequence
 
 import numpy as np
 
+from kinegraph_training.synthetic.action_table import Action, read_action_table
 
-@dataclass(frozen=True)
-class ActionPhrases:
-    """Verb phrases for one action."""
-
-    finite: tuple[str, ...]
-    """As in "a person walks"."""
-    participle: tuple[str, ...]
-    """As in "while walking"; participle i belongs to finite phrase i."""
-    arms_or_legs: bool = True
-    """Whether it moves arms or legs alone; actions of the whole body cannot be spliced."""
-
-
-def _verbs(*pairs: tuple[str, str], arms_or_legs: bool = True) -> ActionPhrases:
-    return ActionPhrases(
-        tuple(finite for finite, _ in pairs), tuple(participle for _, participle in pairs), arms_or_legs
-    )
-
-
-def _hand(side: str) -> str:
-    return "both hands" if side == "both" else f"the {side} hand"
-
-
-def _raise(side: str) -> ActionPhrases:
-    hand = _hand(side)
-    arm = "both arms" if side == "both" else f"the {side} arm"
-    return _verbs(
-        (f"raises {hand}", f"raising {hand}"),
-        (f"lifts {hand} up", f"lifting {hand} up"),
-        (f"raises {arm} above the head", f"raising {arm} above the head"),
-        (f"puts {hand} up", f"putting {hand} up"),
-        (f"holds {arm} up high", f"holding {arm} up high"),
-    )
-
-
-def _wave(side: str) -> ActionPhrases:
-    hand = _hand(side)
-    arm = "both arms" if side == "both" else f"the {side} arm"
-    return _verbs(
-        (f"waves {hand}", f"waving {hand}"),
-        (f"waves with {hand}", f"waving with {hand}"),
-        (f"waves {arm}", f"waving {arm}"),
-        (f"swings {hand} from side to side", f"swinging {hand} from side to side"),
-    )
-
-
-def _turn(side: str) -> ActionPhrases:
-    return _verbs(
-        (f"turns {side} while walking", f"turning {side}"),
-        (f"walks and turns to the {side}", f"walking around a turn to the {side}"),
-        (f"turns to the {side}", f"turning to the {side}"),
-        (f"walks forward and then turns {side}", f"walking and turning {side}"),
-    )
-
-
-PHRASES: dict[str, ActionPhrases] = {
-    "walk": _verbs(("walks", "walking"), ("walks forward", "walking forward"), ("walks ahead", "walking ahead"),
-                   ("walks straight ahead", "walking straight ahead")),
-    "run": _verbs(("runs", "running"), ("runs forward", "running forward"), ("jogs", "jogging"),
-                  ("runs ahead", "running ahead")),
-    "dash": _verbs(("dashes forward", "dashing forward"), ("sprints", "sprinting")),
-    "walk-back": _verbs(("walks backward", "walking backward"), ("steps backwards", "stepping backwards")),
-    "walk-left": _verbs(("walks to the left", "walking to the left"), ("walks leftward", "walking leftward")),
-    "walk-right": _verbs(("walks to the right", "walking to the right"), ("walks rightward", "walking rightward")),
-    "walk-turn-left": _turn("left"),
-    "walk-turn-right": _turn("right"),
-    "raise-up-left-hand": _raise("left"),
-    "raise-up-right-hand": _raise("right"),
-    "raise-up-both-hands": _raise("both"),
-    "wave-left-hand": _wave("left"),
-    "wave-right-hand": _wave("right"),
-    "wave-both-hands": _wave("both"),
-    "bye": _verbs(("waves goodbye", "waving goodbye"), ("says goodbye", "saying goodbye")),
-    "byebye": _verbs(("waves bye-bye", "waving bye-bye"), ("waves goodbye again and again", "waving goodbye")),
-    "bow": _verbs(("bows", "bowing"), ("takes a bow", "taking a bow"), ("bows down", "bowing down"),
-                  arms_or_legs=False),
-    "guide": _verbs(("shows the way", "showing the way"), ("guides somebody", "guiding somebody"), arms_or_legs=False),
-}  # fmt: skip
+PHRASES: dict[str, Action] = dict(read_action_table().actions)
 """By action label."""
 
-LOCOMOTION = frozenset(name for name in PHRASES if name.startswith(("walk", "run", "dash")))
+TRAVEL = ("walk", "run", "dash", "jog", "march", "skip", "shuffle", "hop", "start-walking")
+LOCOMOTION = frozenset(name for name, action in PHRASES.items() if action.parts == "legs" and name.startswith(TRAVEL))
 
-SUBJECTS = ("a person", "a person", "a person", "someone", "the person", "a man", "a figure", "a human", "somebody")
+_SIDE = re.compile(
+    r"(,)? (?:(?:turning |leading |starting )?(?:to|toward|with|over|on) (?:the|one's) )?(?:left|right)"
+    r"(?:ward|wards)?(?: (?:hand|foot|leg|arm|fist|side))?$"
+)
+
+SUBJECTS = (
+    *("a person",) * 6,
+    *("someone", "the person", "a man", "a woman", "a figure", "a human", "somebody", "he", "she", "the man"),
+    *("a guy", "a character", "the character", "one", "a player", "an actor"),
+)
 
 STYLE_PHRASES: dict[str, tuple[str, ...]] = {
     "normal": ("", "", "", "in a normal way"),
@@ -138,25 +74,34 @@ def is_turn(action: str) -> bool:
     return "turn" in action
 
 
-def _draw(options: tuple[str, ...], rng: np.random.Generator) -> str:
+FINAL_STOP = 0.3
+"""Share of captions that end with a full stop."""
+
+
+def without_side(phrase: str) -> str:
+    """Leave out the side at the end of a verb phrase: "kicks with the left foot" becomes "kicks"."""
+    rest = _SIDE.sub("", phrase)
+    # What is left of "waves the left hand" is no phrase.
+    return phrase if rest.endswith((" the", " a")) else rest
+
+
+def with_side(phrases: Sequence[str], side: str) -> Sequence[str]:
+    """Keep the phrases that name the side, if there is one: of two hands it must be said which does what."""
+    return [phrase for phrase in phrases if side in phrase] if side else phrases
+
+
+def _draw(options: Sequence[str], rng: np.random.Generator) -> str:
     return options[int(rng.integers(len(options)))]
 
 
-def _captions(
-    templates: tuple[str, ...], first: ActionPhrases, second: ActionPhrases, style: str, rng: np.random.Generator
-) -> tuple[str, ...]:
-    captions = []
-    for template in templates:
-        text = template.format(
-            subject=_draw(SUBJECTS, rng),
-            a=_draw(first.finite, rng),
-            b=_draw(second.finite, rng),
-            a_ing=_draw(first.participle, rng),
-            b_ing=_draw(second.participle, rng),
-        )
-        style_phrase = _draw(STYLE_PHRASES.get(style, ("",)), rng)
-        captions.append(f"{text} {style_phrase}".strip() + ".")
-    return tuple(captions)
+def _fill(template: str, actions: Sequence[str], style: str, rng: np.random.Generator) -> str:
+    """Fill one template with wordings of actions and a style."""
+    words = {"subject": _draw(SUBJECTS, rng)}
+    for letter, label in zip("abc", actions, strict=False):
+        words[letter] = _draw(with_side(PHRASES[label].finite, PHRASES[label].side), rng)
+        words[f"{letter}_ing"] = _draw(with_side(PHRASES[label].participle, PHRASES[label].side), rng)
+    text = f"{template.format(**words)} {_draw(STYLE_PHRASES.get(style, ('',)), rng)}".strip()
+    return text + "." if rng.random() < FINAL_STOP else text
 
 
 def step_count_captions(action: str, steps: int | None, style: str, rng: np.random.Generator) -> tuple[str, ...]:
@@ -170,29 +115,73 @@ def step_count_captions(action: str, steps: int | None, style: str, rng: np.rand
     return tuple(captions)
 
 
+ALONE = ("{subject} {a}",) * 5 + ("{subject} is {a_ing}", "{subject} is {a_ing}", "{subject} keeps {a_ing}")
+WITHOUT_SIDE = 0.2
+"""Share of captions of an action with a side that do not name it."""
+
+
 def concept_caption(action: str, style: str, rng: np.random.Generator) -> str:
     """Write a sentence of one action in a style."""
-    parts = (_draw(SUBJECTS, rng), _draw(PHRASES[action].finite, rng), _draw(STYLE_PHRASES.get(style, ("",)), rng))
-    return " ".join(parts).strip() + "."
+    entry = PHRASES[action]
+    style_phrase = _draw(STYLE_PHRASES.get(style, ("",)), rng)
+    if entry.noun and rng.random() < 0.1:
+        verb = _draw(("does", "performs", "makes"), rng)
+        text = f"{_draw(SUBJECTS, rng)} {verb} {_draw(entry.noun, rng)}"
+    else:
+        finite, participle = _draw(entry.finite, rng), _draw(entry.participle, rng)
+        if entry.side and rng.random() < WITHOUT_SIDE:
+            finite, participle = without_side(finite), without_side(participle)
+        text = _draw(ALONE, rng).format(subject=_draw(SUBJECTS, rng), a=finite, a_ing=participle)
+    text = f"{text} {style_phrase}".strip()
+    return text + "." if rng.random() < FINAL_STOP else text
 
 
-def splice_caption(carrier: str, gesture: str, style: str, rng: np.random.Generator) -> tuple[str, ...]:
-    """Write captions of two actions at once, in four templates."""
-    templates = (
-        "{subject} {a} while {b_ing}",
-        "{subject} {a} and {b}",
-        "{subject} {b} while {a_ing}",
-        "{subject} is {a_ing} and {b_ing} at the same time",
-    )
-    return _captions(templates, PHRASES[carrier], PHRASES[gesture], style, rng)
+TWO_AT_ONCE = (
+    "{subject} {a} while {b_ing}",
+    "{subject} {a} and {b}",
+    "{subject} {b} while {a_ing}",
+    "{subject} is {a_ing} and {b_ing} at the same time",
+    "while {a_ing}, {subject} {b}",
+    "{subject} {a} and {b} at the same time",
+)
+THREE_AT_ONCE = (
+    "{subject} {a} while {b_ing} and {c_ing}",
+    "{subject} {a}, {b} and {c}",
+    "while {a_ing}, {subject} {b} and {c}",
+    "{subject} is {a_ing} while {b_ing} and {c_ing}",
+    "{subject} {b} and {c} while {a_ing}",
+)
+IN_SEQUENCE = (
+    "{subject} {a}, then {b}",
+    "{subject} {a} and then {b}",
+    "first {subject} {a}, and after that {b}",
+    "after {a_ing}, {subject} {b}",
+    "{subject} {a}. then {subject} {b}",
+    "{subject} {a} before {b_ing}",
+)
+CAPTIONS = 3
+"""Captions written for a clip of several actions."""
+
+
+def splice_caption(actions: Sequence[str], style: str, rng: np.random.Generator) -> tuple[str, ...]:
+    """Write captions of two or three actions at once, the carrier first."""
+    templates = TWO_AT_ONCE if len(actions) == 2 else THREE_AT_ONCE
+    drawn = rng.choice(len(templates), CAPTIONS, replace=False)
+    return tuple(_fill(templates[index], actions, style, rng) for index in drawn)
+
+
+def partial_captions(actions: Sequence[str], style: str, rng: np.random.Generator) -> tuple[str, ...]:
+    """Write captions that name some of several actions at once: each of them, and of three each pair."""
+    each = 2 if len(actions) == 2 else 1
+    captions = [concept_caption(action, style, rng) for action in actions for _ in range(each)]
+    if len(actions) == 3:
+        for left_out in range(3):
+            pair = [action for index, action in enumerate(actions) if index != left_out]
+            captions.append(_fill(_draw(TWO_AT_ONCE, rng), pair, style, rng))
+    return tuple(captions)
 
 
 def sequence_caption(first: str, second: str, style: str, rng: np.random.Generator) -> tuple[str, ...]:
-    """Write captions of one action after another, in four templates."""
-    templates = (
-        "{subject} {a}, then {b}",
-        "{subject} {a} and then {b}",
-        "first {subject} {a}, and after that {b}",
-        "after {a_ing}, {subject} {b}",
-    )
-    return _captions(templates, PHRASES[first], PHRASES[second], style, rng)
+    """Write captions of one action after another."""
+    drawn = rng.choice(len(IN_SEQUENCE), CAPTIONS, replace=False)
+    return tuple(_fill(IN_SEQUENCE[index], (first, second), style, rng) for index in drawn)

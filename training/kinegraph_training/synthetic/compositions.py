@@ -1,13 +1,15 @@
 """Synthetic compositions: body splices ("walks while waving") and sequences ("walks, then bows").
 
-No captured clip shows two actions, so nothing else teaches the models that actions can coexist. Pairs listed as held
-out, and their mirror images, are never composed, so that composition can be measured on pairs the models have not seen.
+Few captured clips show two actions, so nothing else teaches the models that actions can coexist. A splice takes legs
+and trunk of one clip and one or both arms of others; made gestures (`gestures`) are placed on it as well. Pairs listed
+as held out, and their mirror images, are never composed, so that composition can be measured on pairs the models have
+not seen.
 """
 
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -18,8 +20,16 @@ from kinegraph.errors import InvalidInputError
 from kinegraph.motion.features import features_from_joints, joints_from_features
 from kinegraph.motion.postprocess import enforce_bone_lengths
 from kinegraph.motion.skeleton import JOINT_INDEX, bone_lengths, facing_angle
-from kinegraph_training.data.clips import MotionClip, mirrored_label
-from kinegraph_training.synthetic.caption_grammar import LOCOMOTION, PHRASES, sequence_caption, splice_caption
+from kinegraph_training.data.clips import MotionClip, mirrored_label, start_at_origin
+from kinegraph_training.metrics import FPS
+from kinegraph_training.synthetic.caption_grammar import (
+    LOCOMOTION,
+    PHRASES,
+    partial_captions,
+    sequence_caption,
+    splice_caption,
+)
+from kinegraph_training.synthetic.gestures import MADE, make_gesture
 
 LEFT_ARM = tuple(JOINT_INDEX[f"left_{name}"] for name in ("collar", "shoulder", "elbow", "wrist"))
 RIGHT_ARM = tuple(JOINT_INDEX[f"right_{name}"] for name in ("collar", "shoulder", "elbow", "wrist"))
@@ -28,6 +38,17 @@ BLEND = 8
 """Frames (0.4 s) over which two motions are faded into each other."""
 MAX_SQUEEZE = 1.6
 """A gesture is played at most this much faster to fit its carrier."""
+MADE_GESTURES = 0.3
+"""Share of the gestures of splices that are made instead of recorded."""
+CARRIERS = LOCOMOTION | {"stand-still", "stand-idle", "walk-turn-left", "walk-turn-right", "turn-left", "turn-right"}
+"""Actions whose arms only swing along."""
+SEQUENCE_SECONDS = (3.0, 9.8)
+"""Range of the length of a sequence, drawn by its logarithm."""
+PART_SECONDS = (1.2, 5.0)
+"""Range of the length of one part of it, if any part of its action will do."""
+NORMAL = "normal"
+MAX_POSE_GAP = 0.3
+"""Metres, mean over joints in the body's frame: poses further apart are not joined."""
 
 
 @dataclass(frozen=True)
@@ -64,11 +85,10 @@ class HeldOut:
 
 def arms_of(action: str) -> tuple[int, ...]:
     """Return the joints that a gesture moves: one arm if its label names a side, else both."""
-    if "left" in action:
-        return LEFT_ARM
-    if "right" in action:
-        return RIGHT_ARM
-    return LEFT_ARM + RIGHT_ARM
+    entry = PHRASES.get(action)
+    if entry is None or entry.parts != "arm":
+        return LEFT_ARM + RIGHT_ARM
+    return LEFT_ARM if entry.side == "left" else RIGHT_ARM
 
 
 def resample_linear(joints: FloatArray, frames: int) -> FloatArray:
@@ -92,7 +112,7 @@ def rotate_about_y(vectors: FloatArray, angle: FloatArray) -> FloatArray:
     return np.stack([cos * x + sin * z, vectors[..., 1], cos * z - sin * x], axis=-1)
 
 
-def splice(carrier: MotionClip, gesture: MotionClip, rng: np.random.Generator) -> FloatArray:
+def splice(carrier: FloatArray, gesture: MotionClip, rng: np.random.Generator) -> FloatArray:
     """Combine legs, root and trunk of the carrier with the arms of the gesture, which turn with the chest.
 
     A longer gesture is sped up to the carrier's length. A shorter one is stretched by 1.0 to 1.3 and placed at random
@@ -101,13 +121,13 @@ def splice(carrier: MotionClip, gesture: MotionClip, rng: np.random.Generator) -
     Returns:
         (frames of the carrier, 22, 3) with the carrier's bone lengths.
     """
-    frames = len(carrier.joints)
+    frames = len(carrier)
     length = min(frames, int(len(gesture.joints) * rng.uniform(1.0, 1.3)))
     start = int(rng.integers(0, frames - length + 1))
     source = resample_linear(gesture.joints, length)
     arms = list(arms_of(gesture.action))
     relative = rotate_about_y(source[:, arms] - source[:, CHEST : CHEST + 1], -chest_heading(source))
-    out = carrier.joints.copy()
+    out = carrier.copy()
     span = out[start : start + length]
     moved = rotate_about_y(relative, chest_heading(span)) + span[:, CHEST : CHEST + 1]
     weight = np.ones(length, dtype=np.float32)
@@ -117,7 +137,7 @@ def splice(carrier: MotionClip, gesture: MotionClip, rng: np.random.Generator) -
     if start + length < frames:
         weight[-len(ramp) :] = ramp[::-1]
     span[:, arms] += weight[:, None, None] * (moved - span[:, arms])
-    return enforce_bone_lengths(out, bone_lengths(carrier.joints).mean(axis=0))
+    return enforce_bone_lengths(out, bone_lengths(carrier).mean(axis=0))
 
 
 def stitch_clips(first: FloatArray, second: FloatArray) -> FloatArray:
@@ -140,82 +160,148 @@ def stitch_clips(first: FloatArray, second: FloatArray) -> FloatArray:
     return enforce_bone_lengths(joints, bone_lengths(first).mean(axis=0))
 
 
-def can_splice(carrier: MotionClip, gesture: MotionClip, held_out: HeldOut) -> bool:
-    """Tell whether two clips use different limbs, have fitting lengths, and are no held-out pair."""
-    if gesture.action in LOCOMOTION:
+def can_splice(carrier: str, gestures: Sequence[str], held_out: HeldOut) -> bool:
+    """Tell whether actions use different limbs, the carrier only legs and trunk, and no two are a held-out pair."""
+    arms = [set(arms_of(gesture)) for gesture in gestures]
+    if any(PHRASES[gesture].parts not in ("arm", "arms") for gesture in gestures):
         return False
-    both_gestures = carrier.action not in LOCOMOTION
-    if both_gestures and set(arms_of(carrier.action)) & set(arms_of(gesture.action)):
+    if len(arms) == 2 and arms[0] & arms[1]:
         return False
-    if frozenset((carrier.action, gesture.action)) in held_out.together:
+    # A gesture of one arm may carry one of the other.
+    one_arm = PHRASES[carrier].parts == "arm" and not any(set(arms_of(carrier)) & other for other in arms)
+    if carrier not in CARRIERS and not one_arm:
         return False
-    return len(gesture.joints) <= MAX_SQUEEZE * len(carrier.joints)
+    everything = (carrier, *gestures)
+    pairs = (frozenset((a, b)) for index, a in enumerate(everything) for b in everything[:index])
+    return not any(pair in held_out.together for pair in pairs)
 
 
-def select_spliceable(clips: Iterable[MotionClip]) -> list[MotionClip]:
-    """Select the clips of actions that move arms or legs alone."""
-    return [clip for clip in clips if clip.action in PHRASES and PHRASES[clip.action].arms_or_legs]
-
-
-def draw_pair(clips: list[MotionClip], rng: np.random.Generator) -> tuple[MotionClip, MotionClip]:
-    """Draw two clips of different actions in one style.
-
-    Styles are drawn by the square root of their number of clips, actions evenly, so that rare ones appear.
-    """
-    by_style: dict[str, dict[str, list[MotionClip]]] = {}
+def by_style_and_action(clips: Iterable[MotionClip]) -> dict[str, dict[str, list[MotionClip]]]:
+    """Group clips by style, then by action; clips without a style are normal ones."""
+    groups: dict[str, dict[str, list[MotionClip]]] = {}
     for clip in clips:
-        by_style.setdefault(clip.style, {}).setdefault(clip.action, []).append(clip)
-    styles = sorted(style for style, actions in by_style.items() if len(actions) > 1)
-    weights = np.array([sum(map(len, by_style[style].values())) for style in styles], dtype=float) ** 0.5
-    style = styles[int(rng.choice(len(styles), p=weights / weights.sum()))]
-    actions = sorted(by_style[style])
-    first, second = rng.choice(len(actions), size=2, replace=False)
-    groups = (by_style[style][actions[first]], by_style[style][actions[second]])
-    return groups[0][rng.integers(len(groups[0]))], groups[1][rng.integers(len(groups[1]))]
+        groups.setdefault(clip.style or NORMAL, {}).setdefault(clip.action, []).append(clip)
+    return groups
 
 
-def make_splices(clips: list[MotionClip], count: int, held_out: HeldOut, seed: int) -> list[MotionClip]:
-    """Make `count` clips of two actions at once, with captions of both."""
+def draw_style(groups: dict[str, dict[str, list[MotionClip]]], rng: np.random.Generator) -> str:
+    """Draw a style of at least two actions by the square root of its number of clips."""
+    styles = sorted(style for style, actions in groups.items() if len(actions) > 1)
+    weights = np.array([sum(map(len, groups[style].values())) for style in styles], dtype=float) ** 0.5
+    return styles[int(rng.choice(len(styles), p=weights / weights.sum()))]
+
+
+def draw_of(groups: dict[str, list[MotionClip]], rng: np.random.Generator) -> MotionClip:
+    """Draw an action evenly, so that rare ones appear, and one of its clips."""
+    actions = sorted(groups)
+    group = groups[actions[int(rng.integers(len(actions)))]]
+    return group[int(rng.integers(len(group)))]
+
+
+def make_splices(
+    clips: list[MotionClip], count: int, held_out: HeldOut, seed: int, *, actions: int = 2
+) -> list[MotionClip]:
+    """Make `count` clips of two or three actions at once, with captions of all of them and of parts.
+
+    Args:
+        clips: to make them of; both sides of each gesture should be among them.
+        count: clips to make.
+        held_out: pairs that must not be made.
+        seed: of all draws.
+        actions: 2, or 3: legs, left arm and right arm.
+    """
     rng = np.random.Generator(np.random.PCG64(seed))
-    usable = select_spliceable(clips)
+    known = [clip for clip in clips if clip.action in PHRASES]
+    carriers = by_style_and_action(
+        clip
+        for clip in known
+        if (clip.action in CARRIERS or PHRASES[clip.action].parts == "arm") and len(clip.joints) > 30
+    )
+    gestures = by_style_and_action(clip for clip in known if PHRASES[clip.action].parts in ("arm", "arms"))
     splices: list[MotionClip] = []
-    while len(splices) < count and usable:
-        carrier, gesture = draw_pair(usable, rng)
-        if not can_splice(carrier, gesture, held_out):
+    while len(splices) < count and carriers and gestures:
+        style = draw_style(carriers, rng)
+        carrier = draw_of(carriers[style], rng)
+        if carrier.action not in CARRIERS and (actions == 3 or rng.random() < 0.7):
             continue
-        splices.append(
-            MotionClip(
-                id=f"splice_{len(splices):05d}",
-                joints=splice(carrier, gesture, rng),
-                captions=splice_caption(carrier.action, gesture.action, carrier.style, rng),
-                actions=(carrier.action, gesture.action),
-                style=carrier.style,
+        drawn = [draw_gesture(gestures, style, rng) for _ in range(actions - 1)]
+        labels = [gesture if isinstance(gesture, str) else gesture.action for gesture in drawn]
+        if not can_splice(carrier.action, labels, held_out):
+            continue
+        joints = carrier.joints
+        for gesture in drawn:
+            made = isinstance(gesture, str)
+            if not made and len(gesture.joints) > MAX_SQUEEZE * len(joints):
+                break
+            joints = make_gesture(joints, gesture, rng) if made else splice(joints, gesture, rng)
+        else:
+            together = (carrier.action, *labels)
+            splices.append(
+                MotionClip(
+                    id=f"splice{actions}_{len(splices):05d}",
+                    joints=joints,
+                    captions=splice_caption(together, style, rng),
+                    partial_captions=partial_captions(together, style, rng),
+                    actions=together,
+                    style=style,
+                    made_by=f"splices_{actions}",
+                )
             )
-        )
     return splices
+
+
+def draw_gesture(
+    gestures: dict[str, dict[str, list[MotionClip]]], style: str, rng: np.random.Generator
+) -> MotionClip | str:
+    """Draw a recorded gesture, in the carrier's style where there is one, or the label of a made one."""
+    if rng.random() < MADE_GESTURES:
+        labels = sorted(label for label in MADE if MADE[label][1])
+        return labels[int(rng.integers(len(labels)))]
+    return draw_of(gestures[style if style in gestures else sorted(gestures)[0]], rng)
 
 
 def make_sequences(
     clips: list[MotionClip], count: int, held_out: HeldOut, seed: int, max_frames: int
 ) -> list[MotionClip]:
-    """Make `count` clips of two actions in order, of at most `max_frames`."""
+    """Make `count` clips of two actions in order, most of 3 to 6 s: of steady actions a part is taken."""
     rng = np.random.Generator(np.random.PCG64(seed))
-    usable = [clip for clip in clips if clip.action in PHRASES and 2 * BLEND <= len(clip.joints) <= max_frames - 30]
+    groups = by_style_and_action(clip for clip in clips if clip.action in PHRASES and len(clip.joints) >= 2 * BLEND)
     sequences: list[MotionClip] = []
-    while len(sequences) < count and usable:
-        first, second = draw_pair(usable, rng)
-        if (first.action, second.action) in held_out.in_order:
+    while len(sequences) < count and groups:
+        style = draw_style(groups, rng)
+        first, second = (draw_of(groups[style], rng) for _ in range(2))
+        if first.action == second.action or (first.action, second.action) in held_out.in_order:
             continue
-        if len(first.joints) + len(second.joints) - BLEND > max_frames:
+        low, high = np.log(np.array(SEQUENCE_SECONDS) * FPS)
+        longest = min(max_frames, round(float(np.exp(rng.uniform(low, high)))))
+        parts = [part_of(clip, rng) for clip in (first, second)]
+        if sum(map(len, parts)) - BLEND > longest or pose_gap(parts[0][-1], parts[1][0]) > MAX_POSE_GAP:
             continue
         sequences.append(
             MotionClip(
                 id=f"sequence_{len(sequences):05d}",
-                joints=stitch_clips(first.joints, second.joints),
-                captions=sequence_caption(first.action, second.action, first.style, rng),
+                joints=stitch_clips(*parts),
+                captions=sequence_caption(first.action, second.action, style, rng),
                 actions=(first.action, second.action),
-                style=first.style,
+                style=style,
                 in_order=True,
+                made_by="sequences",
             )
         )
     return sequences
+
+
+def part_of(clip: MotionClip, rng: np.random.Generator) -> FloatArray:
+    """Take a part of a clip of a steady action, and the whole of any other."""
+    if not PHRASES[clip.action].steady:
+        return clip.joints
+    low, high = np.log(np.array(PART_SECONDS) * FPS)
+    frames = min(len(clip.joints), round(float(np.exp(rng.uniform(low, high)))))
+    start = int(rng.integers(len(clip.joints) - frames + 1))
+    return start_at_origin(clip.joints[start : start + frames])
+
+
+def pose_gap(first: FloatArray, second: FloatArray) -> float:
+    """Compute the mean distance in metres of the joints (22, 3) of two poses, both turned to face +Z."""
+    gap = start_at_origin(first[None]) - start_at_origin(second[None])
+    return float(np.linalg.norm(gap, axis=-1).mean())

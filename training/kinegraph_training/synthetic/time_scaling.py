@@ -10,9 +10,8 @@ from typing import Final
 import numpy as np
 
 from kinegraph.arrays import FloatArray
-from kinegraph.motion.skeleton import canonicalise
 from kinegraph_training.config import DataConfig
-from kinegraph_training.data.clips import MotionClip
+from kinegraph_training.data.clips import MotionClip, start_at_origin
 from kinegraph_training.synthetic.caption_grammar import LOCOMOTION, concept_caption
 from kinegraph_training.synthetic.excerpts import draw_clip
 
@@ -49,8 +48,10 @@ def make_time_scaled(clips: Sequence[MotionClip], count: int, seed: int, max_fra
         sentences = [caption for caption in clip.captions if not _SPEED.search(caption)]
         sentences += [concept_caption(clip.action, clip.style, rng) for _ in range(NEW_CAPTIONS)]
         captions = tuple(_add_phrase(sentence, phrases[int(rng.integers(len(phrases)))], rng) for sentence in sentences)
-        joints = canonicalise(resample_catmull_rom(clip.joints, frames))
-        scaled.append(replace(clip, id=f"pace_{len(scaled):05d}", joints=joints, captions=captions))
+        joints = start_at_origin(resample_catmull_rom(clip.joints, frames))
+        scaled.append(
+            replace(clip, id=f"pace_{len(scaled):05d}", joints=joints, captions=captions, made_by="time_scaled")
+        )
     return scaled
 
 

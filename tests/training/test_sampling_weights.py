@@ -1,0 +1,61 @@
+"""How often the denoisers see which clip."""
+
+from __future__ import annotations
+
+from collections import Counter
+
+import numpy as np
+import pytest
+
+pytest.importorskip("torch")
+
+from kinegraph_training.config import DataConfig
+from kinegraph_training.data.clips import MotionClip
+from kinegraph_training.train_denoisers import sampling_weights
+
+JOINTS = np.zeros((2, 22, 3), dtype=np.float32)
+
+
+def clips(counts: dict[tuple[str, str], int]) -> list[MotionClip]:
+    return [
+        MotionClip(f"{made}{label}{number}", JOINTS, ("x",), (label,), "", made_by=made)
+        for (made, label), count in counts.items()
+        for number in range(count)
+    ]
+
+
+def shares(pool: list[MotionClip], config: DataConfig) -> tuple[dict[str, float], dict[str, float]]:
+    weights = sampling_weights(pool, config)
+    assert abs(weights.sum() - 1.0) < 1e-9 and (weights > 0).all()
+    kinds: Counter[str] = Counter()
+    labels: Counter[str] = Counter()
+    for clip, weight in zip(pool, weights, strict=True):
+        kinds[clip.made_by] += weight
+        labels[clip.action] += weight
+    return dict(kinds), dict(labels)
+
+
+def many(made: str, count: int) -> dict[tuple[str, str], int]:
+    return {(made, f"action{number}"): 10 for number in range(count)}
+
+
+def test_what_made_a_clip_has_its_share() -> None:
+    pool = clips({**many("", 40), **many("splices_2", 30), **many("bent", 30)})
+    kinds, _ = shares(pool, DataConfig(draws={"splices_2": 0.2, "bent": 0.05}))
+    assert kinds == pytest.approx({"": 0.75, "splices_2": 0.2, "bent": 0.05}, abs=1e-6)
+
+
+def test_rare_actions_come_more_often_and_none_too_often() -> None:
+    pool = clips({**many("", 40), ("", "walk"): 1000, ("", "kick-left"): 2})
+    _, labels = shares(pool, DataConfig())
+    # By the number of clips a walk would have 71 %, a kick 0.14 %.
+    assert labels["walk"] == pytest.approx(0.05, abs=2e-3)
+    assert labels["kick-left"] > 4 * 2 / len(pool)
+    assert labels["action0"] > labels["kick-left"]
+
+
+def test_what_is_wanted_often_comes_as_many_times_as_asked() -> None:
+    pool = clips({**many("", 60), ("", "kick-left"): 10})
+    _, plain = shares(pool, DataConfig())
+    _, often = shares(pool, DataConfig(often=["kick"], often_weight=2.0))
+    assert often["kick-left"] / plain["kick-left"] == pytest.approx(2.0, rel=0.05)
