@@ -7,7 +7,7 @@ returns zeros of the right shape, so exported graphs are compared with the train
 from __future__ import annotations
 
 import copy
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import torch
@@ -95,11 +95,14 @@ FUSED_MODULES: dict[type[nn.Module], Callable[[Any], nn.Module]] = {
 
 
 @torch.no_grad()
-def fuse_operators(module: nn.Module) -> nn.Module:
-    """Copy a module for export, with fused operators in place of those that `FUSED_MODULES` names."""
-    fused = copy.deepcopy(module)
+def fuse_operators(
+    module: nn.Module, replacements: Mapping[type[nn.Module], Callable[[Any], nn.Module]] = FUSED_MODULES
+) -> nn.Module:
+    """Copy a module for export, with fused operators in place of those that `replacements` name."""
+    # parameters are shared: the released networks have a gigabyte of them
+    fused = copy.deepcopy(module, {id(value): value for value in module.parameters()})
     for parent in list(fused.modules()):
         for name, child in list(parent.named_children()):
-            if type(child) in FUSED_MODULES:
-                setattr(parent, name, FUSED_MODULES[type(child)](child))
+            if type(child) in replacements:
+                setattr(parent, name, replacements[type(child)](child))
     return fused.eval()

@@ -182,11 +182,12 @@ class _StageTimer:
         """Make a pipeline of the same bundle whose sessions and tokenizer are timed."""
         sessions = inner.sampler.sessions
         tokenizer = self._around(inner.encoder.tokenizer, "encode", "tokens")
-        self.threads = {"steps": _threads(sessions.denoiser[LEVELS[0]]), "others": _threads(sessions.decoder)}
+        self.threads = {"steps": _threads(sessions.denoiser[LEVELS[-1]]), "others": _threads(sessions.decoder)}
+        graph_encoder = sessions.graph_encoder
         watched = replace(
             sessions,
             text_encoder=self._around(sessions.text_encoder, "run", "text"),
-            graph_encoder=self._around(sessions.graph_encoder, "run", "graph"),
+            graph_encoder=None if graph_encoder is None else self._around(graph_encoder, "run", "graph"),
             decoder=self._around(sessions.decoder, "run", "decode"),
         )
         return MotionPipeline(inner.manifest, watched, tokenizer, inner.encoder.tables, inner.parser)
@@ -244,10 +245,11 @@ def _time_clip(pipe: MotionPipeline, timer: _StageTimer, seconds: float, parses:
         written = time.perf_counter() - writing
     durations = {name: end - start for name, start, end in timer.events}
     ends = {name: end for name, _, end in timer.events}
-    marks = [ends["graph"], *(level_ends[level] for level in LEVELS)]
-    durations |= {level: after - before for level, before, after in zip(LEVELS, marks, marks[1:], strict=False)}
+    # a released MLD has neither graph attention nor coarser levels
+    marks = [ends.get("graph", ends["text"]), *level_ends.values()]
+    durations |= {level: after - before for level, before, after in zip(level_ends, marks, marks[1:], strict=False)}
     durations |= {"joints": made - ends["decode"], "write": written, "parse": parsed - begin}
-    stages = {name: 1000.0 * durations[name] for name in STAGES if parses or name != "parse"}
+    stages = {name: 1000.0 * durations[name] for name in STAGES if name in durations and (parses or name != "parse")}
     return {**stages, "total": 1000.0 * (made - begin + written)}
 
 

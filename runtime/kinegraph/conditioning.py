@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
-from typing import Any
+from typing import Any, Self, TypeVar
 
 import numpy as np
 import onnxruntime
@@ -70,9 +70,12 @@ class Conditions:
     coarse_bias: FloatArray
     """(A, 1) 0 where the coarser latent is seen too, PADDING_BIAS where it is not."""
 
-    def map(self, function: Callable[[NDArray[Any]], NDArray[Any]]) -> Conditions:
+    def map(self, function: Callable[[NDArray[Any]], NDArray[Any]]) -> Self:
         """Apply a function to every array."""
-        return Conditions(**{field.name: function(getattr(self, field.name)) for field in fields(self)})
+        return type(self)(**{field.name: function(getattr(self, field.name)) for field in fields(self)})
+
+
+Rows = TypeVar("Rows", bound=Conditions)
 
 
 @dataclass(frozen=True)
@@ -128,6 +131,10 @@ class ConditionEncoder:
         """
         (nodes,) = run_model(self.sessions.graph_encoder, ["nodes_out"], pad_graphs(features), "the graph encoder")
         return make_conditions(features, nodes)
+
+    def left_out(self, graph: SemanticGraph) -> tuple[str, ...]:
+        """Tell which nodes of a graph the networks have no room for: none, they take any number."""
+        return ()
 
     def with_length(self, options: GenerateOptions, features: Sequence[GraphArrays]) -> GenerateOptions:
         """Replace the length by the one that the longest of some sentences asks for.
@@ -345,7 +352,7 @@ def drop_all(conditions: Conditions) -> Conditions:
     return replace(drop_text(conditions), coarse_bias=np.full_like(conditions.coarse_bias, PADDING_BIAS))
 
 
-def repeat_rows(conditions: Conditions, count: int) -> Conditions:
+def repeat_rows(conditions: Rows, count: int) -> Rows:
     """Repeat every row `count` times."""
     return conditions.map(lambda part: np.repeat(part, count, axis=0))
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -19,7 +19,10 @@ from kinegraph.motion.humanml3d import joints_from_humanml3d
 from kinegraph.motion.postprocess import enforce_bone_lengths, lock_feet
 from kinegraph.options import GenerateOptions
 
-_JOINTS_FROM: Final = {"joints-137": joints_from_features, "humanml3d-263": joints_from_humanml3d}
+_JOINTS_FROM: Final[Mapping[str, Callable[[FloatArray], FloatArray]]] = {
+    "joints-137": joints_from_features,
+    "humanml3d-263": joints_from_humanml3d,
+}
 
 
 @dataclass(frozen=True)

@@ -172,14 +172,18 @@ class LatentSampler:
 
     def level_plans(self, options: GenerateOptions) -> list[LevelPlan]:
         """List the levels with the steps that a call wants, coarse to fine."""
-        specs = {level: self.manifest.levels[level] for level in LEVELS}
+        specs = {level: self.manifest.levels[level] for level in LEVELS if level in self.manifest.levels}
         return [LevelPlan(level, spec.tokens, spec.latent_width, options.steps[level]) for level, spec in specs.items()]
 
-    def validate_agd(self, agd: tuple[float, float]) -> None:
-        """Refuse step sizes of adaptive gradient descent if the bundle has no graphs for it.
+    def validate_composition(self, lambdas: tuple[float, float, float], agd: tuple[float, float]) -> None:
+        """Refuse terms of a composition that the bundle's networks cannot compute.
+
+        Args:
+            lambdas: shares of the latent-aware, the semantic-aware and the joint-text term; any are possible here.
+            agd: step sizes of adaptive gradient descent.
 
         Raises:
-            InvalidInputError: `agd` is not (0, 0) and there are none.
+            InvalidInputError: `agd` is not (0, 0), and the bundle has no graphs for it.
         """
         if any(agd) and not self.sessions.denoiser_agd:
             raise InvalidInputError(

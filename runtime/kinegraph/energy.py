@@ -20,7 +20,7 @@ from kinegraph.denoising import LatentSampler, sample_hierarchy
 from kinegraph.diffusion.composition import CompositionWeights
 from kinegraph.diffusion.energy import SAME, EnergyMap, EnergyMaps, noise_field, plane_through, potential
 from kinegraph.diffusion.sampling import OnStep, StepInfo, ddim_coefficients, initial_noise, is_stop
-from kinegraph.errors import Cancelled
+from kinegraph.errors import Cancelled, InvalidInputError
 from kinegraph.graph import SemanticGraph
 from kinegraph.options import Deadline, GenerateOptions, Guidance, Steps, resolve_options
 from kinegraph.pipeline import MotionPipeline
@@ -77,10 +77,15 @@ def energy_maps(
         on_step: called after the steps of the composition, then after every row of the maps (level "energy").
 
     Raises:
-        InvalidInputError: as in `MotionPipeline.compose`; nothing has been run.
+        InvalidInputError: as in `MotionPipeline.compose`, and for released networks; nothing has been run.
         Cancelled: `on_step` returned False, or as `TimedOut`, the timeout is over.
         NonFiniteError: a model produced NaN or infinity.
     """
+    if pipe.manifest.family != "kinegraph":
+        raise InvalidInputError(
+            f"energy maps are drawn for kinegraph's own networks alone, and {pipe.manifest.name} has those of the "
+            f"family {pipe.manifest.family!r}; load another bundle"
+        )
     check_callback(on_step, "on_step")
     on_step = Deadline.start(timeout).watch(on_step)
     spec = validate_composition(concepts, method, text, lambdas, agd)

@@ -146,21 +146,22 @@ def _per_level(
 ) -> Mapping[str, N]:
     if value is None:
         return defaults
+    levels = [level for level in LEVELS if level in defaults]  # the released MLD has the last one alone
     if isinstance(value, Mapping):
         for level in value:
-            if level not in LEVELS:
-                raise InvalidInputError(f"{name}: unknown level {short_repr(level)}; the levels are {list(LEVELS)}")
+            if level not in levels:
+                raise InvalidInputError(f"{name}: unknown level {short_repr(level)}; the levels are {levels}")
         by_level: dict[str, object] = dict(value)
     elif isinstance(value, list | tuple):
-        if len(value) != len(LEVELS):
-            raise InvalidInputError(f"{name} must be one number or {len(LEVELS)}, not {len(value)}")
-        by_level = dict(zip(LEVELS, value, strict=True))
+        if len(value) != len(levels):
+            raise InvalidInputError(f"{name} must be one number or {len(levels)}, not {len(value)}")
+        by_level = dict(zip(levels, value, strict=True))
     else:
-        by_level = dict.fromkeys(LEVELS, value)
+        by_level = dict.fromkeys(levels, value)
     return MappingProxyType(
         {
             level: check(by_level[level], f"{name} of level {level}") if level in by_level else defaults[level]
-            for level in LEVELS
+            for level in levels
         }
     )
 

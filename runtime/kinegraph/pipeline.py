@@ -27,6 +27,7 @@ from kinegraph.bundle.sessions import Sessions, open_sessions
 from kinegraph.bundle.tables import bones_of
 from kinegraph.bundle.vocabulary import Vocabulary
 from kinegraph.clip import Clip
+from kinegraph.concat_denoising import ConcatSampler
 from kinegraph.concepts import CompositionSpec, Concept, SamplingPlan, validate_composition
 from kinegraph.conditioning import ConditionEncoder, Conditions, GraphArrays, repeat_rows
 from kinegraph.decoding import MotionDecoder
@@ -50,6 +51,7 @@ from kinegraph.options import (
     with_seconds,
 )
 from kinegraph.request import NEVER_STOOD, STANDING, interpret, share_frames, split_in_order
+from kinegraph.slot_conditioning import SlotEncoder
 from kinegraph.text.parser import LazyParser, check_caption
 from kinegraph.text.tokenizer import CaptionTokenizer
 from kinegraph.text.vocabulary import find_unknown
@@ -142,12 +144,13 @@ class MotionPipeline:
         parser: LazyParser,
         vocabulary: Vocabulary | None = None,
     ) -> None:
+        is_ours = manifest.family == "kinegraph"
         parts = {
             "manifest": manifest,
             "parser": parser,
             "vocabulary": vocabulary,
-            "encoder": ConditionEncoder(sessions, tokenizer, manifest, tables),
-            "sampler": LatentSampler(sessions, manifest),
+            "encoder": (ConditionEncoder if is_ours else SlotEncoder)(sessions, tokenizer, manifest, tables),
+            "sampler": (LatentSampler if is_ours else ConcatSampler)(sessions, manifest),
             "decoder": MotionDecoder(sessions, manifest, bones_of(tables)),
         }
         for name, part in parts.items():
@@ -181,7 +184,7 @@ class MotionPipeline:
         files = dict(bundle.files)
         bundle = replace(bundle, files={})  # so that only `files` holds the bytes, and a session's go when it is made
         sessions = open_sessions(bundle, threads=threads, options=session_options, files=files)
-        tokenizer = CaptionTokenizer(files["tokenizer.json"])
+        tokenizer = CaptionTokenizer(files["tokenizer.json"], bundle.manifest.text.max_pieces)
         parser = LazyParser.from_files(files)
         return cls(bundle.manifest, sessions, tokenizer, bundle.tables, parser, bundle.vocabulary)
 
@@ -471,7 +474,8 @@ class MotionPipeline:
         caption = spec.joint.caption if isinstance(spec.joint, SemanticGraph) else spec.joint
         on_latent = self._on_latent(on_level, options, caption)
         latents = self.sampler.sample(conditions, plan.weights, [options], deadline.watch(on_step), on_latent)
-        return replace(self.decoder.decode(latents, [options], [caption])[0], unknown=unknown)
+        notes = tuple(dict.fromkeys(note for graph in plan.graphs for note in self.encoder.left_out(graph)))
+        return replace(self.decoder.decode(latents, [options], [caption])[0], unknown=unknown, notes=notes)
 
     def encode_composition(
         self, spec: CompositionSpec, options: GenerateOptions, *, own_length: bool
@@ -487,9 +491,9 @@ class MotionPipeline:
             Conditions in the order of the plan's weights, the plan, and the options with the length.
 
         Raises:
-            InvalidInputError: adaptive gradient descent is asked for and the bundle has no graphs for it.
+            InvalidInputError: the networks of the bundle cannot compute a term.
         """
-        self.sampler.validate_agd(spec.agd)
+        self.sampler.validate_composition(spec.lambdas, spec.agd)
         plan = SamplingPlan.for_composition(spec, [self.as_graph(text) for text in spec.texts])
         features, options = self._encode(plan, options, own_length=own_length)
         return self.encoder.attend(features), plan, options
@@ -550,7 +554,8 @@ class MotionPipeline:
         features, sized = self._encode(plan, options, own_length=own_length and request.seconds is None)
         if not is_known and sized.frames > options.frames:
             sized = options
-        return _EncodedPart(self.encoder, graph, plan, features, sized, request.notes, request.is_timed)
+        notes = (*request.notes, *self.encoder.left_out(request.wanted))
+        return _EncodedPart(self.encoder, graph, plan, features, sized, notes, request.is_timed)
 
     def _encode_sentence(
         self, graph: SemanticGraph, options: GenerateOptions, *, own_length: bool, is_known: bool, in_order: bool = True

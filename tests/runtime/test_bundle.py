@@ -68,7 +68,7 @@ def test_a_huge_manifest_is_not_read(bundle: Path) -> None:
 @pytest.mark.parametrize("size", [MAX_FILE_BYTES + 1, MAX_FILE_BYTES])
 def test_huge_files_are_not_read(tmp_path: Path, size: int) -> None:
     entries = dict(manifest_for(bundle_files()).files)
-    for name in ("decoder.onnx", "parser.bin", "tokenizer.json"):
+    for name in ("decoder.onnx", "parser.bin", "tokenizer.json", "text_encoder.onnx", "tables.npz"):
         entries[name] = FileSpec("0" * 64, size)
     folder = write_bundle(tmp_path / "huge", files=entries)
     with opened_paths() as opened, pytest.raises(BundleFormatError, match=r"bytes; a (file|bundle) may have"):

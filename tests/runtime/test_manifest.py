@@ -17,8 +17,12 @@ from support.synthetic_bundle import LEVEL_SPECS, bundle_files, manifest_for, se
 
 FREE_MAPS = {("provenance",), ("scope",), ("parity",), ("training",), ("quality",)}
 OPTIONAL = [("files", name) for name in ("parser.bin", "decoder_motion.onnx", "decoder_action.onnx")]
+WITH_DEFAULT = [("family",), ("text", "max_pieces")]
+"""Keys that older bundles do not have."""
 REQUIRED = [
-    path for path in ALL_PATHS if path[:-1] not in FREE_MAPS and isinstance(path[-1], str) and path[:2] not in OPTIONAL
+    path
+    for path in ALL_PATHS
+    if path[:-1] not in FREE_MAPS and isinstance(path[-1], str) and path[:2] not in (*OPTIONAL, *WITH_DEFAULT)
 ]
 
 
@@ -42,6 +46,20 @@ def test_nothing_in_a_manifest_can_be_changed() -> None:
         manifest.name = "other"  # type: ignore[misc]
     with pytest.raises(TypeError):
         manifest.files["decoder.onnx"] = None  # type: ignore[index]
+
+
+def test_keys_of_older_bundles_have_their_defaults() -> None:
+    value = copy.deepcopy(GOOD)
+    del value["family"], value["text"]["max_pieces"]
+    assert decode_manifest(sealed(value)) == manifest_for(bundle_files())
+
+
+@pytest.mark.parametrize("family", ["graphmotion", "mld"])
+def test_a_family_has_its_own_graphs_levels_and_guidance(family: str) -> None:
+    value = copy.deepcopy(GOOD)
+    value["family"] = family
+    with pytest.raises(BundleFormatError, match=r"manifest\.json: (levels|defaults)"):
+        decode_manifest(sealed(value))
 
 
 @pytest.mark.parametrize("path", REQUIRED, ids=dotted)

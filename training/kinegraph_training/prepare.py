@@ -5,6 +5,8 @@
 Every clip is brought to the 22 joints, metres, 20 frames per second and Y up, with the floor at 0, starting at the
 origin and facing +Z; up, left and right and the unit are found from the body. Long recordings are cut into windows. The
 split of a recording depends on its name alone, so that it stays when others are added.
+
+Published data sets come by `--humanml3d FOLDER` or `--kit FOLDER` instead (`kinegraph_training.prepare_published`).
 """
 
 from __future__ import annotations
@@ -25,6 +27,7 @@ from kinegraph.arrays import FloatArray
 from kinegraph.errors import InvalidInputError, KinegraphError, OutputError
 from kinegraph.files import check_target
 from kinegraph.motion.skeleton import canonicalise
+from kinegraph_training import prepare_published
 from kinegraph_training.data.body import UP_AXES, UnclearUpError
 from kinegraph_training.data.bvh import read_recording
 from kinegraph_training.data.folder import SPLITS, PreparedClip, assign_splits, write_data
@@ -336,6 +339,9 @@ def _parser() -> argparse.ArgumentParser:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line; returns 2 on bad input, with the reason on stderr."""
+    given = sys.argv[1:] if arguments is None else arguments
+    if any(argument.partition("=")[0] in prepare_published.SETS for argument in given):
+        return prepare_published.main(arguments)
     parser = _parser()
     parsed = parser.parse_args(arguments)
     if parsed.out is None and parsed.preview is None:

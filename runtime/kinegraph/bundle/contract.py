@@ -16,9 +16,10 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
-from typing import Final, Protocol
+from typing import Final, Literal, Protocol
 
 from kinegraph.errors import BundleFormatError
+from kinegraph.graph import ROLES
 
 FORMAT_VERSION: Final = 4
 """Version of the format that is written; `OLDEST_VERSION` on are read."""
@@ -140,7 +141,8 @@ def graph_file(name: str, version: int = FORMAT_VERSION) -> str:
 def text_encoder(text_width: int) -> GraphContract:
     """Declare the text encoder.
 
-    `hidden` holds the token states. `pooled` is their mean over unmasked tokens, special ones included, not normalised.
+    `hidden` holds the token states. `pooled` is their mean over unmasked tokens, special ones included, not normalised;
+    CLIP's is the projected state of its end token.
 
     Args:
         text_width: D.
@@ -302,13 +304,126 @@ def contracts(
     return {graph.name: replace(graph, version=version) for graph in graphs}
 
 
+# Released networks: latent, time and conditions in one sequence ("concat")
+
+Family = Literal["kinegraph", "graphmotion", "graphmotion-released", "mld"]
+"""Networks of a bundle, and how a sentence reaches them.
+
+- "kinegraph": denoisers with cross-attention to any number of nodes; composes inside its layers.
+- "graphmotion": the released GraphMotion, with `SLOTS` for nodes; word pieces are found by characters, and edges have
+  their types in both halves of guidance, as in its training.
+- "graphmotion-released": the same networks as its evaluation runs them, so that published figures hold: the edges of
+  specifics lose their types in the conditional half, and word k of the caption reads token k + 1.
+- "mld": the released MLD, one level that sees the sentence alone.
+"""
+
+SLOTS: Final[Mapping[str, int]] = {"motion": 1, "action": 4, "specific": 8}
+"""Nodes of each kind that released networks have room for; further ones are left out."""
+
+SLOT_COUNT: Final = sum(SLOTS.values())
+
+
+def slots_seen(level: LevelSpec) -> int:
+    """Count the slots that a level of a released network sees; they are the first ones."""
+    return sum(SLOTS[kind] for kind in level.nodes)
+
+
+def released_graph_encoder(text_width: int) -> GraphContract:
+    """Declare the graph attention of the released GraphMotion, over all `SLOTS` at once.
+
+    `adjacency` is 1 where there is an edge, `relations` where there is one of a type of `graph.ROLES`.
+
+    Args:
+        text_width: D.
+    """
+    slots = SLOT_COUNT
+    inputs = (
+        TensorSpec("nodes", ("B", slots, text_width)),
+        TensorSpec("adjacency", ("B", slots, slots)),
+        TensorSpec("relations", ("B", len(ROLES), slots, slots)),
+    )
+    return GraphContract("graph_encoder", inputs, (TensorSpec("nodes_out", ("B", slots, text_width)),))
+
+
+def released_level(name: str, level: LevelSpec, text_width: int, coarse: LevelSpec | None) -> tuple[GraphContract, ...]:
+    """Declare the three graphs of a released level: condition tokens, time tokens, denoiser.
+
+    Condition tokens (the coarser latent's first, positions included) are computed once per level, time tokens once for
+    all K steps. `mask` is 1 on the conditions that a row has.
+
+    Args:
+        name: of the level.
+        level: dimensions of that level.
+        text_width: D.
+        coarse: the coarser level, whose latent is an input; None at the coarsest.
+    """
+    nodes = (TensorSpec("nodes", ("R", slots_seen(level), text_width)),)
+    latents = () if coarse is None else (TensorSpec("coarse", ("R", coarse.tokens, coarse.latent_width)),)
+    count = slots_seen(level) + (0 if coarse is None else coarse.tokens)
+    latent = ("R", level.tokens, level.latent_width)
+    condition = TensorSpec("condition", ("R", count, level.width))
+    inputs = (
+        TensorSpec("latent", latent),
+        TensorSpec("time", ("R", level.width)),
+        condition,
+        TensorSpec("mask", ("R", count)),
+    )
+    timestep, time = TensorSpec("timestep", ("K",), INT), TensorSpec("time", ("K", level.width))
+    return (
+        GraphContract(f"context_{name}", nodes + latents, (condition,)),
+        GraphContract(f"modulation_{name}", (timestep,), (time,)),
+        GraphContract(f"denoiser_{name}", inputs, (TensorSpec("noise", latent),)),
+    )
+
+
+def released_contracts(
+    family: Family, levels: Mapping[str, LevelSpec], text_width: int, features: int
+) -> dict[str, GraphContract]:
+    """Declare every graph of a bundle with released networks, as `contracts` does for our own.
+
+    Args:
+        family: not "kinegraph".
+        levels: one spec for each level that the family has (`levels_of`).
+        text_width: D.
+        features: F, width of the feature layout.
+    """
+    graphs = [text_encoder(text_width), *([] if family == "mld" else [released_graph_encoder(text_width)])]
+    coarse: LevelSpec | None = None
+    for name in levels_of(family):
+        graphs += released_level(name, levels[name], text_width, coarse)
+        coarse = levels[name]
+    graphs.append(decoder("decoder", levels[LEVELS[-1]], features))
+    graphs += [decoder(graph, levels[level], features) for level, graph in COARSE_DECODERS.items() if level in levels]
+    return {graph.name: graph for graph in graphs}
+
+
+def levels_of(family: Family) -> tuple[str, ...]:
+    """Return the levels of a family, coarse to fine."""
+    return LEVELS[-1:] if family == "mld" else LEVELS
+
+
+def graphs_of(family: Family) -> tuple[str, ...]:
+    """Return the names of all graphs that a bundle of a family must have, in order of execution."""
+    levels = levels_of(family)
+    parts = ("context", "modulation", "denoiser")
+    absent = {f"{part}_{level}" for level in LEVELS if level not in levels for part in parts}
+    return tuple(name for name in GRAPHS if name not in absent and (family != "mld" or name != "graph_encoder"))
+
+
+def optional_graphs_of(family: Family) -> tuple[str, ...]:
+    """Return the names of all graphs that a bundle of a family may have."""
+    if family == "kinegraph":
+        return OPTIONAL_GRAPHS
+    return tuple(graph for level, graph in COARSE_DECODERS.items() if level in levels_of(family))
+
+
 GRAPHS: Final[tuple[str, ...]] = (
     "text_encoder",
     "graph_encoder",
     *(f"{part}_{level}" for level in LEVELS for part in ("context", "modulation", "denoiser")),
     "decoder",
 )
-"""Names of all graphs that a bundle must have, in order of execution."""
+"""Names of all graphs that a bundle of our own networks must have, in order of execution."""
 
 OPTIONAL_GRAPHS: Final[tuple[str, ...]] = (
     *COARSE_DECODERS.values(),

@@ -17,21 +17,24 @@ from kinegraph.bundle.contract import (
     AGD_DENOISERS,
     CONTEXT_MIXING_VERSION,
     FORMAT_VERSION,
-    GRAPHS,
-    LEVELS,
     NODE_KINDS,
     OLDEST_VERSION,
-    OPTIONAL_GRAPHS,
+    SLOTS,
+    Family,
     GraphContract,
     LevelSpec,
     contracts,
     graph_file,
+    graphs_of,
+    levels_of,
+    optional_graphs_of,
+    released_contracts,
 )
 from kinegraph.bundle.strict_json import decode, parse_object, to_plain
 from kinegraph.diffusion.sampling import NoiseSchedule
 from kinegraph.errors import BundleFormatError, BundleIntegrityError, InvalidInputError
 from kinegraph.graph import ROLES
-from kinegraph.limits import MAX_FRAMES
+from kinegraph.limits import MAX_FRAMES, MAX_PIECES
 from kinegraph.motion.skeleton import JOINT_NAMES, PARENTS
 from kinegraph.validation import short_repr
 
@@ -46,18 +49,18 @@ OPTIONAL_TABLES: Final[frozenset[str]] = frozenset(("parser.bin", "arguments.npz
 """
 
 
-def graph_files(version: int = FORMAT_VERSION) -> tuple[str, ...]:
+def graph_files(version: int = FORMAT_VERSION, family: Family = "kinegraph") -> tuple[str, ...]:
     """List the files of the graphs that a bundle of a format version must have, in order of execution."""
-    return tuple(graph_file(graph, version) for graph in GRAPHS)
+    return tuple(graph_file(graph, version) for graph in graphs_of(family))
 
 
-def optional_graph_files(version: int = FORMAT_VERSION) -> frozenset[str]:
+def optional_graph_files(version: int = FORMAT_VERSION, family: Family = "kinegraph") -> frozenset[str]:
     """List the files of the graphs that a bundle of a format version works without, with limits.
 
     - Without the coarse decoders it shows no clip before the last level is done.
     - Without the graphs of adaptive gradient descent it refuses to compose with `agd`.
     """
-    return frozenset(graph_file(graph, version) for graph in OPTIONAL_GRAPHS)
+    return frozenset(graph_file(graph, version) for graph in optional_graphs_of(family))
 
 
 def agd_files(version: int = FORMAT_VERSION) -> frozenset[str]:
@@ -118,6 +121,8 @@ class TextSpec:
     """D, width of the text encoder's hidden states."""
     mask_token: str
     """Token that replaces a masked word in the caption."""
+    max_pieces: int = MAX_PIECES
+    """Word pieces of a caption that the encoder has positions for, special ones included."""
 
 
 @dataclass(frozen=True)
@@ -145,9 +150,10 @@ class Defaults:
     """Diffusion steps per level."""
     guidance: Mapping[str, float]
     """Guidance scale per level."""
-    guidance_base: Literal["empty", "coarse"]
+    guidance_base: Literal["empty", "coarse", "structure"]
     """Unconditional branch of classifier-free guidance: "empty" drops text and coarse latent (Eq. A); "coarse" drops
-    the text only."""
+    the text only; "structure", of released networks alone, keeps the graph as well and gives its nodes the features of
+    an empty caption."""
     seconds: float
     """Length of a clip where neither the caller nor the duration model gives one."""
 
@@ -197,6 +203,8 @@ class Manifest:
     """Settings of the training run."""
     quality: Mapping[str, float]
     """Measured quality, by metric."""
+    family: Family = "kinegraph"
+    """Whose networks they are; says which graphs the bundle has, and what they take."""
 
     def __post_init__(self) -> None:
         _validate(self)
@@ -204,7 +212,11 @@ class Manifest:
     @property
     def contracts(self) -> dict[str, GraphContract]:
         """Contract of every graph of this bundle, by name."""
-        declared = contracts(self.levels, self.text.width, len(self.features.mean), self.format_version)
+        sizes = (self.levels, self.text.width, len(self.features.mean))
+        if self.family == "kinegraph":
+            declared = contracts(*sizes, self.format_version)
+        else:
+            declared = released_contracts(self.family, *sizes)
         return {name: contract for name, contract in declared.items() if contract.file in self.files}
 
     @property
@@ -215,7 +227,7 @@ class Manifest:
     @property
     def knows_partial_captions(self) -> bool:
         """Whether the model has a token that says that a caption may name only a part of what happens."""
-        return self.format_version >= CONTEXT_MIXING_VERSION
+        return self.format_version >= CONTEXT_MIXING_VERSION and self.family == "kinegraph"
 
     @property
     def seconds_limits(self) -> tuple[float, float]:
@@ -292,9 +304,12 @@ def _validate(manifest: Manifest) -> None:
     _check_version(manifest.format_version)
     _check_body(manifest)
     _check_features(manifest.features)
-    _check_levels(manifest.levels, manifest.format_version)
-    _check_schedule(manifest.schedule, manifest.defaults, manifest.frames, manifest.fps)
-    _check_files(manifest.files, manifest.operators, manifest.format_version)
+    _check_levels(manifest.levels, manifest.format_version, levels_of(manifest.family))
+    if manifest.family != "kinegraph":
+        for name, level in manifest.levels.items():
+            _require(set(level.nodes) <= set(SLOTS), f"levels.{name}.nodes", f"must be some of {list(SLOTS)}")
+    _check_schedule(manifest)
+    _check_files(manifest)
 
 
 def _require(holds: bool, key: str, message: str) -> None:
@@ -326,6 +341,11 @@ def _check_body(manifest: Manifest) -> None:
         "text.width",
         f"must be 1 to {MAX_DIMS['width']}, found {manifest.text.width}",
     )
+    _require(
+        2 <= manifest.text.max_pieces <= MAX_PIECES,
+        "text.max_pieces",
+        f"must be 2 to {MAX_PIECES}, found {manifest.text.max_pieces}",
+    )
     _require(0 < manifest.fps <= 1000, "fps", f"must be above 0 and at most 1000, found {manifest.fps}")
     _require(
         2 <= frames.min <= frames.max <= MAX_FRAMES,
@@ -351,11 +371,11 @@ def _check_features(features: FeatureSpec) -> None:
     _require(min(features.std) > 0, "features.std", f"must be positive, found {min(features.std)}")
 
 
-def _check_levels(levels: Mapping[str, LevelSpec], version: int) -> None:
-    _check_keys(levels, "levels")
+def _check_levels(levels: Mapping[str, LevelSpec], version: int, names: tuple[str, ...]) -> None:
+    _check_keys(levels, "levels", names)
     known = NODE_KINDS if version >= CONTEXT_MIXING_VERSION else NODE_KINDS[:-1]
     coarse: LevelSpec | None = None
-    for name in LEVELS:
+    for name in names:
         level = levels[name]
         key = f"levels.{name}"
         for field, most in MAX_DIMS.items():
@@ -387,11 +407,18 @@ def _check_levels(levels: Mapping[str, LevelSpec], version: int) -> None:
         coarse = level
 
 
-def _check_keys(mapping: Mapping[str, object], key: str) -> None:
-    _require(set(mapping) == set(LEVELS), key, f"must have exactly the keys {list(LEVELS)}, found {list(mapping)}")
+def _check_keys(mapping: Mapping[str, object], key: str, names: tuple[str, ...]) -> None:
+    _require(set(mapping) == set(names), key, f"must have exactly the keys {list(names)}, found {list(mapping)}")
 
 
-def _check_schedule(schedule: ScheduleSpec, defaults: Defaults, frames: FrameSpec, fps: float) -> None:
+def _check_schedule(manifest: Manifest) -> None:
+    schedule, defaults, frames, fps = manifest.schedule, manifest.defaults, manifest.frames, manifest.fps
+    names, is_ours = levels_of(manifest.family), manifest.family == "kinegraph"
+    _require(
+        is_ours == (defaults.guidance_base != "structure"),
+        "defaults.guidance_base",
+        f"cannot be {defaults.guidance_base!r} for networks of the family {manifest.family!r}",
+    )
     _require(
         1 <= schedule.train_steps <= 100_000,
         "schedule.train_steps",
@@ -407,9 +434,9 @@ def _check_schedule(schedule: ScheduleSpec, defaults: Defaults, frames: FrameSpe
         "schedule.steps_offset",
         f"must be 0 to {schedule.train_steps - 1}, found {schedule.steps_offset}",
     )
-    _check_keys(defaults.steps, "defaults.steps")
-    _check_keys(defaults.guidance, "defaults.guidance")
-    for name in LEVELS:
+    _check_keys(defaults.steps, "defaults.steps", names)
+    _check_keys(defaults.guidance, "defaults.guidance", names)
+    for name in names:
         steps, scale = defaults.steps[name], defaults.guidance[name]
         try:
             schedule.noise.timesteps(steps)
@@ -423,9 +450,10 @@ def _check_schedule(schedule: ScheduleSpec, defaults: Defaults, frames: FrameSpe
     )
 
 
-def _check_files(files: Mapping[str, FileSpec], operators: Mapping[str, tuple[str, ...]], version: int) -> None:
-    required = REQUIRED_TABLES.union(graph_files(version))
-    known = required | optional_graph_files(version) | OPTIONAL_TABLES
+def _check_files(manifest: Manifest) -> None:
+    files, operators, version = manifest.files, manifest.operators, manifest.format_version
+    required = REQUIRED_TABLES.union(graph_files(version, manifest.family))
+    known = required | optional_graph_files(version, manifest.family) | OPTIONAL_TABLES
     for name, entry in files.items():
         # Only known names are ever opened, so separators, drives, "..", NUL and devices can name nothing.
         _require(

@@ -45,7 +45,8 @@ SHARED_FILES: Final[frozenset[str]] = frozenset(("text_encoder.onnx", "tokenizer
 MAX_MANIFEST_BYTES: Final = 1 << 20
 MAX_FILE_BYTES: Final = 1 << 30
 """Below the 2 GiB limit of protobuf; the largest known text encoder takes half of it."""
-MAX_BUNDLE_BYTES: Final = 1 << 31
+MAX_BUNDLE_BYTES: Final = 1 << 32
+"""The released GraphMotion in float32 has 3.4 GB."""
 
 _OPEN_FLAGS: Final = (
     os.O_RDONLY
@@ -128,7 +129,7 @@ def read_bundle(path: str | Path | None = None) -> Bundle:
         for name, entry in manifest.files.items()
         if name not in lazy
     }
-    for name in graph_files(manifest.format_version):
+    for name in graph_files(manifest.format_version, manifest.family):
         check_self_contained(files[name], name)
     tables = read_tables(files["tables.npz"], manifest)
     vocabulary = read_vocabulary(files[VOCABULARY], manifest.text.width) if VOCABULARY in files else None

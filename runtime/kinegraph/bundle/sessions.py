@@ -18,9 +18,9 @@ from kinegraph.bundle.contract import (
     AGD_CONTEXTS,
     AGD_DENOISERS,
     COARSE_DECODERS,
-    LEVELS,
     GraphContract,
     check_signature,
+    levels_of,
 )
 from kinegraph.bundle.reader import Bundle
 from kinegraph.errors import BundleError, InvalidInputError, KinegraphError, ModelError
@@ -65,7 +65,8 @@ class Sessions:
     """
 
     text_encoder: onnxruntime.InferenceSession
-    graph_encoder: onnxruntime.InferenceSession
+    graph_encoder: onnxruntime.InferenceSession | None
+    """None for networks of the family "mld"."""
     context: Mapping[str, onnxruntime.InferenceSession]
     """Level -> context encoder."""
     modulation: Mapping[str, onnxruntime.InferenceSession]
@@ -149,7 +150,10 @@ def open_sessions(
         raise InvalidInputError(f"session_options must be onnxruntime.SessionOptions, not {short_repr(options)}")
     wide = options or session_options(_thread_count(threads, min(2, available_cpus())), spinning=threads is not None)
     narrow = options or session_options(_thread_count(threads, 1))
-    contracts = bundle.manifest.contracts
+    contracts, family = bundle.manifest.contracts, bundle.manifest.family
+    levels = levels_of(family)
+    # Released denoisers are a hundred times ours, so that a second thread pays.
+    steps = narrow if family == "kinegraph" else wide
 
     def open_graph(graph: str, settings: onnxruntime.SessionOptions) -> onnxruntime.InferenceSession:
         contract = contracts[graph]
@@ -165,10 +169,10 @@ def open_sessions(
 
     return Sessions(
         text_encoder=open_graph("text_encoder", wide),
-        graph_encoder=open_graph("graph_encoder", wide),
-        context=MappingProxyType({level: open_graph(f"context_{level}", wide) for level in LEVELS}),
-        modulation=MappingProxyType({level: open_graph(f"modulation_{level}", narrow) for level in LEVELS}),
-        denoiser=MappingProxyType({level: open_graph(f"denoiser_{level}", narrow) for level in LEVELS}),
+        graph_encoder=open_graph("graph_encoder", wide) if "graph_encoder" in contracts else None,
+        context=MappingProxyType({level: open_graph(f"context_{level}", wide) for level in levels}),
+        modulation=MappingProxyType({level: open_graph(f"modulation_{level}", narrow) for level in levels}),
+        denoiser=MappingProxyType({level: open_graph(f"denoiser_{level}", steps) for level in levels}),
         decoder=open_graph("decoder", wide),
         coarse_decoders=lazy(COARSE_DECODERS, wide),
         context_agd=lazy(AGD_CONTEXTS, wide),

@@ -52,7 +52,8 @@ def decode(kind: type[T], value: object, where: str) -> T:
     """Build a value of a type from parsed JSON.
 
     Supported are dataclasses, `tuple[X, ...]`, `Mapping[str, X]`, `Literal`, unions of scalars, str, int and float.
-    An int is also a float, a bool is neither. Numbers must be finite and strings printable.
+    An int is also a float, a bool is neither. Numbers must be finite and strings printable. Keys of fields that have a
+    default may be missing: older files do not know them.
 
     Args:
         kind: the type.
@@ -86,14 +87,15 @@ def _decode(kind: Any, value: object, where: str) -> object:
 def _decode_record(kind: Any, value: object, where: str) -> object:
     record = _expect(dict, value, where)
     hints = get_type_hints(kind)
-    names = [field.name for field in dataclasses.fields(kind)]
+    fields = dataclasses.fields(kind)
+    names = [field.name for field in fields]
     for key in record:
         if key not in names:
             raise BundleFormatError(f"{where}: unknown key {short_repr(key)}; allowed are {names}")
-    for name in names:
-        if name not in record:
-            raise BundleFormatError(f"{where}: missing key {name!r}")
-    return kind(**{name: _decode(hints[name], record[name], f"{where}.{name}") for name in names})
+    for field in fields:
+        if field.name not in record and field.default is dataclasses.MISSING:
+            raise BundleFormatError(f"{where}: missing key {field.name!r}")
+    return kind(**{name: _decode(hints[name], record[name], f"{where}.{name}") for name in names if name in record})
 
 
 def _decode_scalar(allowed: tuple[type, ...], value: object, where: str) -> object:

@@ -1,6 +1,7 @@
 """`tables.npz`: optional tables that a training run measured on its clips.
 
-They are the weights of the duration model (`kinegraph.conditioning`) and the bone lengths of the bundle's one body.
+They are the weights of the duration model (`kinegraph.conditioning`) and the bone lengths of the bundle's one body. A
+bundle with released networks has the text encoder's states of an empty caption, which their guidance leads away from.
 """
 
 from __future__ import annotations
@@ -21,13 +22,18 @@ from kinegraph.motion.skeleton import JOINTS
 FILE: Final = "tables.npz"
 DURATION: Final = "duration"
 BONE_LENGTHS: Final = "bone_lengths"
+EMPTY_CAPTION: Final = "empty_caption"
 EXTRA_INPUTS: Final = 3
 """Inputs of the duration model besides the sentence embedding: number of actions, number of nodes, and 1."""
 
 
 def table_shapes(manifest: Manifest) -> dict[str, tuple[int, int]]:
     """Return name -> shape of every array that `tables.npz` may hold, all float32."""
-    return {DURATION: (1, manifest.text.width + EXTRA_INPUTS), BONE_LENGTHS: (1, JOINTS - 1)}
+    shapes = {DURATION: (1, manifest.text.width + EXTRA_INPUTS), BONE_LENGTHS: (1, JOINTS - 1)}
+    if manifest.family == "kinegraph":
+        return shapes
+    # the sentence feature, then the hidden states of all positions
+    return shapes | {EMPTY_CAPTION: (1 + manifest.text.max_pieces, manifest.text.width)}
 
 
 def bones_of(tables: Mapping[str, FloatArray]) -> FloatArray | None:
@@ -49,6 +55,8 @@ def read_tables(data: bytes, manifest: Manifest) -> Mapping[str, FloatArray]:
         arrays = read_arrays(data, {name: rows * width * 4 for name, (rows, width) in shapes.items()})
     except UNREADABLE as error:
         raise BundleFormatError(f"{FILE} is not an npz archive of plain arrays: {error}") from error
+    if EMPTY_CAPTION in shapes and EMPTY_CAPTION not in arrays:
+        raise BundleFormatError(f"{FILE} lacks {EMPTY_CAPTION}, which networks of this family need")
     return MappingProxyType({name: _table(array, name, shapes[name]) for name, array in arrays.items()})
 
 

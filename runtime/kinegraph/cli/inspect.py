@@ -113,6 +113,7 @@ def info_record(bundle: Bundle) -> dict[str, Any]:
         "version": manifest["version"],
         "path": str(bundle.path),
         "precision": manifest["precision"],
+        "family": manifest["family"],
         "licence": manifest["licence"],
         "provenance": manifest["provenance"],
         "scope": manifest["scope"],
@@ -150,7 +151,7 @@ def info_text(record: Mapping[str, Any]) -> str:
         f"{record['name']} {record['version']} ({record['precision']}, {_megabytes(sum(sizes.values()))})",
         record["path"],
         f"clips of {shortest:g} to {longest:g} seconds at {record['fps']:g} frames per second, "
-        f"default {defaults['seconds']:g}; features {record['features']['layout']}",
+        f"default {defaults['seconds']:g}; features {record['features']['layout']}; networks {record['family']}",
     ]
     for name, level in record["levels"].items():
         lines.append(

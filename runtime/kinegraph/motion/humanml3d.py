@@ -126,16 +126,17 @@ def humanml3d_from_joints(
     return _feature_rows(canonicalise(joints), heading)
 
 
-def joints_from_humanml3d(features: FloatArray) -> FloatArray:
+def joints_from_humanml3d(features: FloatArray, joint_count: int = JOINTS) -> FloatArray:
     """Convert HumanML3D features to the joints of a clip that starts at the origin.
 
     Reads the positions; the rotations are not used. HumanML3D's code calls this `recover_from_ric`.
 
     Args:
         features: (frames, 263), not normalised.
+        joint_count: of the body: 22, or the 21 of KIT-ML with its 251 features.
 
     Returns:
-        (frames, 22, 3) float32 metres.
+        (frames, joint_count, 3) float32, metres for HumanML3D.
     """
     rows = np.asarray(features, dtype=np.float64)
     half_angle = np.concatenate([[0.0], np.cumsum(rows[:-1, 0])])
@@ -143,10 +144,11 @@ def joints_from_humanml3d(features: FloatArray) -> FloatArray:
     step = np.zeros((len(rows), 3))
     step[1:, [0, 2]] = rows[:-1, ROOT_VELOCITY]
     root = np.cumsum(rotate(to_world, step), axis=0)
-    joints = np.empty((len(rows), JOINTS, 3))
+    joints = np.empty((len(rows), joint_count, 3))
     joints[:, 0] = root
     joints[:, 0, 1] = rows[:, HEIGHT.start]
-    local = rows[:, POSITIONS].reshape(len(rows), JOINTS - 1, 3)
+    others = joint_count - 1
+    local = rows[:, POSITIONS.start : POSITIONS.start + 3 * others].reshape(len(rows), others, 3)
     joints[:, 1:] = rotate(to_world[:, None], local) + root[:, None]
     return joints.astype(np.float32)
 

@@ -1,4 +1,4 @@
-"""WordPiece tokenizer of the text encoder, with character offsets."""
+"""Tokenizer of the text encoder (WordPiece, or CLIP's byte pairs), with character offsets."""
 
 from __future__ import annotations
 
@@ -31,12 +31,17 @@ class TokenIds:
 class CaptionTokenizer:
     """Caption to `TokenIds`, by the tokenizer of a bundle; safe to share between threads.
 
+    Args:
+        tokenizer_json: content of tokenizer.json.
+        max_pieces: positions that the text encoder has.
+
     Raises:
         MissingExtraError: the package `tokenizers` is not installed.
         BundleFormatError: the bytes are no tokenizer.
     """
 
-    def __init__(self, tokenizer_json: bytes) -> None:
+    def __init__(self, tokenizer_json: bytes, max_pieces: int = MAX_PIECES) -> None:
+        self._max_pieces = max_pieces
         try:
             from tokenizers import Tokenizer
         except ImportError as error:
@@ -65,10 +70,10 @@ class CaptionTokenizer:
             raise
         except BaseException as error:
             raise ModelError(f"the tokenizer failed: {error}") from error
-        if len(encoding.ids) > MAX_PIECES:
+        if len(encoding.ids) > self._max_pieces:
             # Truncation would silently ignore the end of the sentence.
             raise InvalidInputError(
-                f"the caption makes {len(encoding.ids)} word pieces, at most {MAX_PIECES} fit; shorten it"
+                f"the caption makes {len(encoding.ids)} word pieces, at most {self._max_pieces} fit; shorten it"
             )
         return TokenIds(
             ids=np.array(encoding.ids, dtype=np.int64),

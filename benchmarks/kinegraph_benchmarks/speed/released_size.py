@@ -1,0 +1,239 @@
+"""Time the released networks and ours, each as its users run it: GraphMotion's Table C in one run.
+
+    python -m kinegraph_benchmarks.speed.released_size --out released.json [--quick]
+
+Weights are random: this is for latency, size and memory only. One call of every network is timed, all arms of one
+network taking turns; a clip's seconds are the sum of its calls, as each model's configuration has them. Arms:
+
+- eager torch: the network as it is released, conditions and time embedded at every step;
+- our runtime, float32 and int8: the graphs that `import_graphmotion` and `import_mld` write.
+
+A denoiser of the released GraphMotion has 237 M parameters. They are made, exported and timed one after another, which
+takes 5 GB of memory at most; `--layers 5` makes smaller ones of the same width.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+
+from kinegraph import MotionPipeline
+from kinegraph.bench import GRAPH, machine
+from kinegraph.bundle.contract import LEVELS, GraphContract, LevelSpec, released_level
+from kinegraph.bundle.sessions import available_cpus, open_session, session_options
+from kinegraph_benchmarks.common.arguments import add_arguments, benchmark_parser
+from kinegraph_benchmarks.common.report_io import write_report
+from kinegraph_benchmarks.common.timing import Arm, time_interleaved, timing_table
+from kinegraph_export.graphs import Precision
+from kinegraph_export.official.denoiser import OfficialDenoiser, OfficialDenoiserConfig
+from kinegraph_export.official.graphs import export_graph, level_spec
+from kinegraph_training.models.transformer import EncoderLayer
+
+TEXT_WIDTH, LATENT_WIDTH = 768, 256
+RELEASED = OfficialDenoiserConfig(2, LATENT_WIDTH, 1024, 17, 16, 4096, TEXT_WIDTH, is_lifted=True)
+MLD = OfficialDenoiserConfig(1, LATENT_WIDTH, 256, 9, 4, 1024, TEXT_WIDTH, is_lifted=False)
+TOKENS = (2, 4, 8)
+PAPER_STEPS, CONFIGURED_STEPS = (15, 15, 20), (50, 50, 50)
+"""Of GraphMotion's levels: the best 50 steps of the paper, and those of the released configuration."""
+MDM_STEPS = (50, 1000)
+MDM_FRAMES = 196
+ROWS = 2
+"""Unconditional and conditional."""
+ARMS = ("eager torch", "ours, fp32", "ours, int8")
+PRECISIONS: tuple[Precision, ...] = ("fp32", "int8")
+
+
+class MdmStep(nn.Module):
+    """One call of a denoiser of MDM's size (Tevet et al., 2023): 8 encoder layers of width 512 over all frames."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.frames_in, self.frames_out = nn.Linear(263, 512), nn.Linear(512, 263)
+        self.layers = nn.ModuleList(EncoderLayer(512, 4, 1024, 0.0) for _ in range(8))
+
+    def forward(self, motion: Tensor) -> Tensor:
+        """Predict (rows, frames, 263) from the same, with a token of time and text before it."""
+        tokens = self.frames_in(motion)
+        x = torch.cat([tokens[:, :1], tokens], dim=1)
+        for layer in self.layers:
+            x = layer(x, None)
+        return self.frames_out(x[:, 1:])
+
+
+@dataclass(frozen=True)
+class Level:
+    """One released denoiser, with what a run gives it."""
+
+    name: str
+    denoiser: OfficialDenoiser
+    spec: LevelSpec
+    coarse: LevelSpec | None
+    nodes: Tensor
+    latent: Tensor
+    coarse_latent: Tensor | None
+
+    @property
+    def contracts(self) -> dict[str, GraphContract]:
+        graphs = released_level(self.name, self.spec, TEXT_WIDTH, self.coarse)
+        return {graph.name: graph for graph in graphs}
+
+    def eager(self) -> Tensor:
+        """Predict noise as the released code does: conditions and time are embedded anew."""
+        with torch.no_grad():
+            condition = self.denoiser.conditions(self.nodes, self.coarse_latent)
+            time = self.denoiser.time(torch.full((ROWS,), 501))
+            return self.denoiser(self.latent, time, condition, torch.ones(ROWS, condition.shape[1]))
+
+
+def random_level(config: OfficialDenoiserConfig, name: str, kinds: int, coarse: LevelSpec | None) -> Level:
+    """Make a denoiser with random weights.
+
+    Args:
+        config: of it.
+        name: of the level.
+        kinds: kinds of nodes that it sees.
+        coarse: the coarser level; None at the coarsest.
+    """
+    torch.manual_seed(0)
+    denoiser = OfficialDenoiser(config).requires_grad_(False).eval()
+    for name_of, value in denoiser.named_parameters():
+        if "in_proj" in name_of or name_of.endswith("pe"):
+            nn.init.normal_(value, std=config.width**-0.5)  # left uninitialised by the module
+    spec = level_spec(denoiser, kinds)
+    slots = (1, 5, 13)[kinds - 1]
+    coarse_latent = None if coarse is None else torch.randn(ROWS, coarse.tokens, coarse.latent_width)
+    nodes, latent = torch.randn(ROWS, slots, config.text_width), torch.randn(ROWS, config.tokens, config.latent_width)
+    return Level(name, denoiser, spec, coarse, nodes, latent, coarse_latent)
+
+
+def session_arm(level: Level, precision: Precision, threads: int) -> tuple[Arm, int]:
+    """Export a level's step graph, and make the call of one step; returns it and the bytes of the graph."""
+    contract = level.contracts[f"denoiser_{level.name}"]
+    data, _ = export_graph(level.denoiser, contract, precision)
+    session = open_session(data, contract, session_options(threads))
+    with torch.no_grad():
+        condition = level.denoiser.conditions(level.nodes, level.coarse_latent).numpy()
+        time = level.denoiser.time(torch.full((ROWS,), 501)).numpy()
+    mask = np.ones(condition.shape[:2], dtype=np.float32)
+    inputs = {"latent": level.latent.numpy(), "time": time, "condition": condition, "mask": mask}
+    return lambda: session.run(["noise"], inputs), len(data)
+
+
+def time_level(level: Level, threads: int, repeats: int) -> dict[str, Any]:
+    """Time one step of a level by all arms in turn."""
+    arms: dict[str, Arm] = {"eager torch": level.eager}
+    sizes = {}
+    for precision in PRECISIONS:
+        print(f"exporting {level.name} in {precision}", file=sys.stderr)
+        arms[f"ours, {precision}"], sizes[precision] = session_arm(level, precision, threads)
+    return {"times": time_interleaved(arms, repeats), "bytes": sizes}
+
+
+def time_mdm(repeats: int) -> dict[str, Any]:
+    """Time one call of a denoiser of MDM's size in eager torch."""
+    torch.manual_seed(0)
+    model, motion = MdmStep().eval(), torch.randn(ROWS, MDM_FRAMES, 263)
+
+    def run() -> Tensor:
+        with torch.no_grad():
+            return model(motion)
+
+    return {"times": time_interleaved({"eager torch": run}, repeats)}
+
+
+def time_ours(threads: int, repeats: int) -> dict[str, Any]:
+    """Time whole clips of the default bundle, text encoder and decoder included."""
+    pipe = MotionPipeline.load(threads=threads)
+    arm = {"ours, default bundle": lambda: pipe.generate(GRAPH, seconds=6, seed=1)}
+    return {"times": time_interleaved(arm, repeats)}
+
+
+def clip_seconds(levels: Sequence[dict[str, Any]], steps: Sequence[int]) -> dict[str, float]:
+    """Add up the denoiser calls of a clip by arm, from the minima of single calls."""
+    arms = levels[0]["times"]
+    return {
+        arm: sum(count * min(level["times"][arm]) for level, count in zip(levels, steps, strict=True)) / 1000.0
+        for arm in arms
+    }
+
+
+def peak_memory() -> float:
+    """Read the peak of this process's resident memory in MB; NaN where the system does not say."""
+    status = Path("/proc/self/status")
+    lines = status.read_text(encoding="utf-8").splitlines() if status.is_file() else []
+    return next((float(line.split()[1]) / 1024 for line in lines if line.startswith("VmHWM:")), float("nan"))
+
+
+def table(result: dict[str, Any]) -> str:
+    """Format seconds of a clip's denoising by model and arm, and the single calls below."""
+    lines = ["| a clip's denoising, seconds | steps | eager torch | ours, fp32 | ours, int8 |", "|---|---|---|---|---|"]
+    for name, entry in result["clips"].items():
+        cells = [f"{entry['seconds'][arm]:.3f}" if arm in entry["seconds"] else "" for arm in ARMS]
+        lines.append(f"| {name} | {entry['steps']} | {' | '.join(cells)} |")
+    whole = min(result["networks"]["ours"]["times"]["ours, default bundle"]) / 1000.0
+    lines += [f"| ours, a whole clip | | | | {whole:.3f} |", ""]
+    for name, network in result["networks"].items():
+        lines += [f"One call of {name}:", "", timing_table(network["times"]), ""]
+        for precision, size in network.get("bytes", {}).items():
+            lines.append(f"{precision}: {size / 1e6:.0f} MB")
+    lines.append(f"Random weights; peak memory of this run {result['peak_mb']:.0f} MB")
+    return "\n".join(lines) + "\n"
+
+
+def measure(layers: int, width: int, threads: int, repeats: int) -> dict[str, Any]:
+    """Measure all models; see the module.
+
+    Args:
+        layers: of GraphMotion's denoisers.
+        width: of the same.
+        threads: of torch and of every session.
+        repeats: rounds of every arm.
+    """
+    torch.set_num_threads(threads)
+    networks: dict[str, Any] = {}
+    coarse: LevelSpec | None = None
+    config = replace(RELEASED, layers=layers, width=width, feed_forward=4 * width)
+    for kinds, (name, tokens) in enumerate(zip(LEVELS, TOKENS, strict=True), start=1):
+        level = random_level(replace(config, tokens=tokens), name, kinds, coarse)
+        networks[f"GraphMotion, {name}"] = time_level(level, threads, repeats)
+        coarse = level.spec
+    mld = random_level(MLD, LEVELS[-1], 1, None)
+    networks["MLD"] = time_level(mld, threads, repeats)
+    networks["MDM"] = time_mdm(repeats)
+    networks["ours"] = time_ours(threads, repeats)
+    released = [networks[f"GraphMotion, {name}"] for name in LEVELS]
+    clips = {
+        "GraphMotion as released": {"steps": "15/15/20", "seconds": clip_seconds(released, PAPER_STEPS)},
+        "GraphMotion as released, its configuration": {
+            "steps": "50/50/50",
+            "seconds": clip_seconds(released, CONFIGURED_STEPS),
+        },
+        "MLD": {"steps": "50", "seconds": clip_seconds([networks["MLD"]], [50])},
+        **{f"MDM ({n} steps)": {"steps": str(n), "seconds": clip_seconds([networks["MDM"]], [n])} for n in MDM_STEPS},
+    }
+    setting = {"layers": layers, "width": width, "threads": threads, "repeats": repeats}
+    return {"machine": machine(), "setting": setting, "networks": networks, "clips": clips, "peak_mb": peak_memory()}
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Run the command line."""
+    parser = benchmark_parser(__doc__)
+    add_arguments(parser, "out", optional=("out",), repeats=15, quick="small networks, two repeats: to try the script")
+    parser.add_argument("--layers", type=int, default=RELEASED.layers, help="of GraphMotion's denoisers")
+    parser.add_argument("--width", type=int, default=RELEASED.width, help="of GraphMotion's denoisers")
+    parser.add_argument("--threads", type=int, default=available_cpus())
+    options = parser.parse_args(arguments)
+    layers, width, repeats = (3, 64, 2) if options.quick else (options.layers, options.width, options.repeats)
+    result = measure(layers, width, options.threads, repeats)
+    write_report(options.out, result, table(result))
+
+
+if __name__ == "__main__":
+    main()

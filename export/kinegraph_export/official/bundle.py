@@ -1,0 +1,200 @@
+"""Write a bundle of released networks: what GraphMotion's and MLD's importers share."""
+
+from __future__ import annotations
+
+import io
+import platform
+import shutil
+import tempfile
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import onnxruntime
+import torch
+
+import kinegraph
+from kinegraph.arrays import FloatArray
+from kinegraph.bundle.contract import FORMAT_VERSION, Family, levels_of
+from kinegraph.bundle.manifest import (
+    Defaults,
+    FeatureSpec,
+    FrameSpec,
+    Licence,
+    Manifest,
+    ScheduleSpec,
+    SkeletonSpec,
+    TextSpec,
+    describe_file,
+)
+from kinegraph.bundle.onnx_inspect import summarise
+from kinegraph.bundle.reader import DEFAULT_BUNDLE
+from kinegraph.bundle.tables import EMPTY_CAPTION
+from kinegraph.errors import InvalidInputError, OutputError
+from kinegraph.graph import ROLES
+from kinegraph.motion.humanml3d import WIDTH
+from kinegraph.motion.skeleton import JOINT_NAMES, PARENTS
+from kinegraph.pipeline import MotionPipeline
+from kinegraph_export.clip_text_encoder import ClipAssets
+from kinegraph_export.export_bundle import write_bundle
+from kinegraph_export.graphs import Precision
+from kinegraph_export.official.checkpoint import GraphMotionModels, MldModels
+from kinegraph_export.official.graphs import export_networks, level_specs
+
+PARSER_FILES = ("parser.bin", "arguments.npz")
+"""Taken from another bundle, so that plain sentences work."""
+FRAMES_PER_SECOND = 20.0
+FRAMES = FrameSpec(min=40, max=196, per_token=1)
+"""Lengths of HumanML3D's clips."""
+STEPS, GUIDANCE, SECONDS = 50, 7.5, 6.0
+"""As published, but for the seconds: the released code takes lengths from the data."""
+
+
+@dataclass(frozen=True)
+class Origin:
+    """Where a model is from, and what it is called."""
+
+    name: str
+    """Of the bundle."""
+    model: str
+    """In words."""
+    licence: str
+    """Of its code, for the manifest."""
+    checkpoint: Path
+
+
+def check_sizes(text_width: int, features: int, clip_width: int) -> None:
+    """Check that the networks fit the text encoder and the body.
+
+    Args:
+        text_width: of the text features that the networks take.
+        features: of the motion.
+        clip_width: of the text encoder.
+
+    Raises:
+        InvalidInputError: they do not.
+    """
+    if clip_width != text_width:
+        raise InvalidInputError(
+            f"the checkpoint was trained with a text encoder {text_width} wide, and --clip is {clip_width} wide: take "
+            "openai/clip-vit-large-patch14 (768) for the published checkpoints"
+        )
+    if features != WIDTH:
+        raise InvalidInputError(
+            f"the checkpoint has {features} features, those of KIT-ML's 21 joints; a bundle has HumanML3D's {WIDTH} "
+            "features of 22 joints: bring the checkpoint of HumanML3D"
+        )
+
+
+def check_target(out: Path) -> None:
+    """Check that a folder may be written: it is new, or a bundle.
+
+    Raises:
+        OutputError: it is something else.
+    """
+    if out.exists() and not (out / "manifest.json").is_file():
+        raise OutputError(f"{out} exists and is not a bundle; name another folder")
+
+
+def read_parser(bundle: Path | None) -> dict[str, bytes]:
+    """Read the files of the sentence parser from a bundle; None is the one that comes with the package.
+
+    Raises:
+        InvalidInputError: it has no parser.
+    """
+    folder = DEFAULT_BUNDLE if bundle is None else bundle
+    files = {name: (folder / name).read_bytes() for name in PARSER_FILES if (folder / name).is_file()}
+    if PARSER_FILES[0] not in files:
+        raise InvalidInputError(f"{folder} has no {PARSER_FILES[0]}; name a bundle with a parser (--parser)")
+    return files
+
+
+def write_imported(
+    out: Path,
+    origin: Origin,
+    models: GraphMotionModels | MldModels,
+    family: Family,
+    clip: ClipAssets,
+    statistics: tuple[FloatArray, FloatArray],
+    parser: dict[str, bytes],
+    precision: Precision,
+) -> Manifest:
+    """Export all networks, write the bundle, load it once, and put it in place; an older one is replaced.
+
+    Raises:
+        ParityError: a graph differs from its module.
+    """
+    graphs, parity = export_networks(models, family, precision)
+    buffer = io.BytesIO()
+    np.savez(buffer, **{EMPTY_CAPTION: clip.empty_caption})
+    files = {
+        **graphs,
+        **parser,
+        "text_encoder.onnx": clip.text_encoder,
+        "tokenizer.json": clip.tokenizer,
+        "tables.npz": buffer.getvalue(),
+    }
+    manifest = build_manifest(origin, models, family, clip, statistics, files, {**clip.parity, **parity}, precision)
+    out.parent.mkdir(parents=True, exist_ok=True)
+    # beside `out`: gigabytes are not copied between disks, and a folder appears whole or not at all
+    with tempfile.TemporaryDirectory(dir=out.parent) as folder:
+        staged = Path(folder) / "bundle"
+        write_bundle(staged, manifest, files)
+        graphs.clear()
+        files.clear()
+        MotionPipeline.load(staged)
+        shutil.rmtree(out, ignore_errors=True)
+        staged.rename(out)
+    return manifest
+
+
+def build_manifest(
+    origin: Origin,
+    models: GraphMotionModels | MldModels,
+    family: Family,
+    clip: ClipAssets,
+    statistics: tuple[FloatArray, FloatArray],
+    files: dict[str, bytes],
+    parity: dict[str, float],
+    precision: Precision,
+) -> Manifest:
+    """Build the manifest of an imported bundle from the contents of its files."""
+    mean, std = statistics
+    levels = levels_of(family)
+    graphs = {name: data for name, data in files.items() if name.endswith(".onnx")}
+    return Manifest(
+        format_version=FORMAT_VERSION,
+        name=origin.name,
+        version="imported",
+        licence=Licence(
+            code=origin.licence,
+            weights="those of the checkpoint's authors",
+            data="HumanML3D and AMASS: research, not commercial",
+            text_encoder="MIT (OpenAI CLIP)",
+            parser="MIT",
+        ),
+        provenance={
+            "training_data": "HumanML3D",
+            "checkpoint": origin.checkpoint.name,
+            "model": origin.model,
+            "built_with": f"kinegraph {kinegraph.__version__}, torch {torch.__version__}, onnxruntime "
+            f"{onnxruntime.__version__}, Python {platform.python_version()}",
+        },
+        scope={"actions": "those of HumanML3D", "length": "2 to 9.8 seconds, which the denoisers do not know"},
+        skeleton=SkeletonSpec(JOINT_NAMES, PARENTS),
+        fps=FRAMES_PER_SECOND,
+        frames=FRAMES,
+        features=FeatureSpec("humanml3d-263", "humanml3d", tuple(map(float, mean)), tuple(map(float, std))),
+        text=TextSpec(clip.empty_caption.shape[1], "<|endoftext|>", clip.positions),
+        levels=level_specs(models),
+        schedule=ScheduleSpec(1000, 8.5e-4, 0.012, 1, "leading", "epsilon"),
+        defaults=Defaults(dict.fromkeys(levels, STEPS), dict.fromkeys(levels, GUIDANCE), "structure", SECONDS),
+        roles=ROLES,
+        precision=precision,
+        files={name: describe_file(data) for name, data in sorted(files.items())},
+        operators={name: summarise(data, name).operators for name, data in sorted(graphs.items())},
+        parity=parity,
+        training={},
+        quality={},
+        family=family,
+    )

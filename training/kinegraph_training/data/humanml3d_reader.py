@@ -1,0 +1,229 @@
+"""Read HumanML3D and KIT-ML from their folders, as Guo et al. (2022) publish them.
+
+    new_joints/NAME.npy        (frames, joints, 3)
+    new_joint_vecs/NAME.npy    (frames, 263 or 251), used where there are no joints
+    texts/NAME.txt             a line for each caption: sentence # words with their tags # from # to, in seconds
+    train.txt, val.txt, test.txt
+
+A line whose times are not 0 tells of a part of the clip; the part becomes a clip of its own, with the captions of the
+same times. HumanML3D is in metres with our 22 joints at 20 frames per second. KIT-ML has 21 joints in units of its own
+at 12.5; it is scaled to the leg of our common body, mapped to our joints and resampled.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from kinegraph.arrays import FloatArray
+from kinegraph.errors import InvalidInputError
+from kinegraph.limits import MAX_TEXT
+from kinegraph.motion.humanml3d import joints_from_humanml3d
+from kinegraph.motion.resampling import resample
+from kinegraph.motion.skeleton import JOINT_INDEX, JOINTS, canonicalise
+from kinegraph_training.data.common_skeleton import BONE_LENGTHS
+from kinegraph_training.data.folder import SPLITS, PreparedClip
+
+FPS: Final = 20.0
+"""Of prepared clips."""
+LONGEST: Final = 10.0
+"""Seconds; the published code leaves out clips of ten seconds and more."""
+_LEG: Final = ("right_knee", "right_ankle")
+_KIT: Final = {
+    "pelvis": (0,), "spine1": (1,), "spine2": (2,), "spine3": (2, 3), "neck": (3,), "head": (4,),
+    "left_hip": (16,), "left_knee": (17,), "left_ankle": (18,), "left_foot": (20,),
+    "right_hip": (11,), "right_knee": (12,), "right_ankle": (13,), "right_foot": (15,),
+    "left_collar": (3, 8), "left_shoulder": (8,), "left_elbow": (9,), "left_wrist": (10,),
+    "right_collar": (3, 5), "right_shoulder": (5,), "right_elbow": (6,), "right_wrist": (7,),
+}  # fmt: skip
+"""Our joint -> joints of KIT-ML whose middle it is."""
+
+
+@dataclass(frozen=True)
+class PublishedSet:
+    """A data set of Guo et al."""
+
+    name: str
+    option: str
+    """Of the command line."""
+    features: int
+    joints: int
+    fps: float
+    shortest: int
+    """Frames; shorter clips are left out, as in the published code."""
+    to_ours: Callable[[FloatArray], FloatArray]
+    """(frames, joints, 3) -> (frames, 22, 3) metres at `FPS`."""
+
+
+@dataclass(frozen=True)
+class Part:
+    """Captions of one stretch of a clip."""
+
+    start: float
+    end: float
+    """Seconds; both 0 for the whole clip."""
+    captions: tuple[str, ...]
+
+
+def from_kit(joints: FloatArray) -> FloatArray:
+    """Map joints of KIT-ML (frames, 21, 3) to ours (frames, 22, 3) in metres at `FPS`."""
+    ours = np.stack([joints[:, _KIT[name]].mean(axis=1) for name in JOINT_INDEX], axis=1)
+    hip, knee, ankle = (ours[:, JOINT_INDEX[name]] for name in ("right_hip", *_LEG))
+    leg = float((np.linalg.norm(knee - hip, axis=-1) + np.linalg.norm(ankle - knee, axis=-1)).mean())
+    if not leg > 0:
+        raise InvalidInputError("the right leg has no length")
+    metres = float(sum(BONE_LENGTHS[JOINT_INDEX[name] - 1] for name in _LEG)) / leg
+    return resample((ours * metres).astype(np.float32), KIT.fps, FPS)
+
+
+HUMANML3D: Final = PublishedSet("HumanML3D", "--humanml3d", 263, JOINTS, FPS, 40, lambda joints: joints)
+KIT: Final = PublishedSet("KIT-ML", "--kit", 251, 21, 12.5, 24, from_kit)
+
+
+def read_names(folder: Path) -> dict[str, str]:
+    """Read the lists of clips.
+
+    Returns:
+        Split by name, of `folder.SPLITS`.
+
+    Raises:
+        InvalidInputError: a list is missing or empty, or a name is in two of them.
+    """
+    splits: dict[str, str] = {}
+    for split in SPLITS:
+        path = folder / f"{split}.txt"
+        try:
+            names = path.read_text(encoding="utf-8").split()
+        except (OSError, UnicodeDecodeError) as error:
+            raise InvalidInputError(
+                f"{path} cannot be read: {error}; the published folder has train.txt, val.txt and test.txt"
+            ) from error
+        if not names:
+            raise InvalidInputError(f"{path} names no clip")
+        twice = sorted(splits.keys() & set(names))
+        if twice:
+            raise InvalidInputError(f"{path}: {twice[0]} is in {splits[twice[0]]}.txt too; a clip has one split")
+        splits |= dict.fromkeys(names, split)
+    return splits
+
+
+def read_parts(path: Path) -> list[Part]:
+    """Read the captions of a clip, those of the same times together.
+
+    Raises:
+        InvalidInputError: no file, or a line that breaks the format.
+    """
+    try:
+        lines = path.read_text(encoding="utf-8").splitlines()
+    except (OSError, UnicodeDecodeError) as error:
+        raise InvalidInputError(f"{path} cannot be read: {error}") from error
+    captions: dict[tuple[float, float], list[str]] = {}
+    for number, line in enumerate(lines, start=1):
+        if not line.strip():
+            continue
+        fields = line.split("#")
+        if len(fields) != 4:
+            raise InvalidInputError(f"{path}, line {number}: {len(fields) - 1} '#' instead of 3")
+        caption = " ".join(fields[0].split())
+        if not any(letter.isalnum() for letter in caption) or len(caption) > MAX_TEXT:
+            raise InvalidInputError(f"{path}, line {number}: a caption has words, and {MAX_TEXT} characters at most")
+        try:
+            # the published files write nan for the whole clip
+            start, end = (0.0 if math.isnan(value := float(field)) else value for field in fields[2:])
+        except ValueError as error:
+            raise InvalidInputError(f"{path}, line {number}: {error}") from error
+        if (start, end) != (0.0, 0.0) and not 0.0 <= start < end < math.inf:
+            raise InvalidInputError(f"{path}, line {number}: it tells of {start:g} to {end:g} seconds")
+        captions.setdefault((start, end), []).append(caption)
+    if not captions:
+        raise InvalidInputError(f"{path} holds no captions")
+    return [Part(*times, tuple(dict.fromkeys(texts))) for times, texts in captions.items()]
+
+
+def read_motion(folder: Path, name: str, data: PublishedSet) -> FloatArray:
+    """Read the joints of a clip, (frames, joints, 3) in the units of the data set.
+
+    Raises:
+        InvalidInputError: no file, another layout, or numbers that are not finite.
+    """
+    joints, vectors = folder / "new_joints" / f"{name}.npy", folder / "new_joint_vecs" / f"{name}.npy"
+    path = joints if joints.is_file() else vectors
+    try:
+        array = np.load(path, allow_pickle=False)
+    except (OSError, ValueError, EOFError) as error:
+        raise InvalidInputError(f"{path} cannot be read: {error}") from error
+    shape = (data.joints, 3) if path == joints else (data.features,)
+    if not isinstance(array, np.ndarray) or array.ndim != 1 + len(shape) or array.shape[1:] != shape:
+        raise InvalidInputError(
+            f"{path} has the shape {getattr(array, 'shape', None)}; {data.name} has (frames, "
+            f"{', '.join(map(str, shape))})"
+        )
+    if not np.isfinite(array).all():
+        raise InvalidInputError(f"{path} holds NaN or infinity, as some files of the published data do")
+    array = array.astype(np.float32)
+    return array if path == joints else joints_from_humanml3d(array, data.joints)
+
+
+def read_clips(folder: Path, data: PublishedSet, name: str, split: str) -> Iterator[PreparedClip]:
+    """Read a clip and the parts of it that have captions of their own; those of unusual length are left out.
+
+    Raises:
+        InvalidInputError: see `read_motion` and `read_parts`.
+    """
+    parts = read_parts(folder / "texts" / f"{name}.txt")
+    motion = read_motion(folder, name, data)
+    for part in parts:
+        is_whole = part.end == 0.0
+        first, last = int(part.start * data.fps), len(motion) if is_whole else int(part.end * data.fps)
+        cut = motion[first:last]
+        if not data.shortest <= len(cut) < LONGEST * data.fps:
+            continue
+        joints = canonicalise(data.to_ours(cut))
+        clip_id = name if is_whole else f"{name}@{part.start:g}-{part.end:g}"
+        yield PreparedClip(clip_id, joints, part.captions, f"new_joints/{name}.npy", split)
+
+
+def read_published(
+    folder: Path,
+    data: PublishedSet,
+    *,
+    skip_broken: bool = False,
+    progress: Callable[[Sequence[str]], Iterator[str]] = iter,
+) -> tuple[list[PreparedClip], list[str]]:
+    """Read a whole data set.
+
+    Args:
+        folder: of the data set.
+        data: which it is.
+        skip_broken: leave out clips that cannot be used, instead of refusing all.
+        progress: wraps the names, to show how far reading is.
+
+    Returns:
+        Its clips, and what is wrong with those that were left out.
+
+    Raises:
+        InvalidInputError: lists are missing; or clips cannot be used, and `skip_broken` is not set.
+    """
+    if not folder.is_dir():
+        raise InvalidInputError(f"{folder} is no folder; {data.option} names that of {data.name}")
+    splits = read_names(folder)
+    clips: list[PreparedClip] = []
+    problems: list[str] = []
+    for name in progress(list(splits)):
+        try:
+            clips += read_clips(folder, data, name, splits[name])
+        except InvalidInputError as error:
+            problems.append(str(error))
+    if problems and (not skip_broken or not clips):
+        listed = "\n".join(problems[:10])
+        raise InvalidInputError(
+            f"{len(problems)} of {len(splits)} clips cannot be used (--skip-broken leaves them out):\n{listed}"
+        )
+    if not clips:
+        raise InvalidInputError(f"{folder} has no clip of {data.shortest / data.fps:g} to {LONGEST:g} seconds")
+    return clips, problems
