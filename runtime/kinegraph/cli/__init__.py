@@ -1,4 +1,4 @@
-"""The command line: `kinegraph generate | compose | sequence | view | play | parse | info | verify | bench`.
+"""The command line: `kinegraph generate | compose | sequence | retarget | view | play | parse | info | verify | bench`.
 
 Exit codes: 0 success; 2 invalid input, bundle or target (one line on stderr says why); 130 interrupted.
 """
@@ -21,9 +21,11 @@ from kinegraph.cli.arguments import (
     add_info,
     add_parse,
     add_play,
+    add_retarget,
     add_sequence,
     add_view,
 )
+from kinegraph.cli.character import retarget
 from kinegraph.cli.console import one_line
 from kinegraph.cli.generate import compose, generate, sequence
 from kinegraph.cli.inspect import info, parse, run_bench, verify
@@ -44,6 +46,7 @@ COMMANDS: Final[tuple[tuple[str, str, AddArguments, Run], ...]] = (
     ("generate", "make a clip from a sentence or a graph", add_generate, generate),
     ("compose", "make a clip of several motions at once, or without some", add_compose, compose),
     ("sequence", "make a clip of several sentences, one after another", add_sequence, sequence),
+    ("retarget", "put a saved clip on a character", add_retarget, retarget),
     ("view", "show saved clips in the browser", add_view, view),
     ("play", "make clips in the browser, on this machine", add_play, play),
     ("parse", "print or draw the semantic graph of a sentence", add_parse, parse),

@@ -101,6 +101,19 @@ def add_sequence(parser: argparse.ArgumentParser) -> None:
     _add_sampling_and_output(parser)
 
 
+def add_retarget(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of `retarget`."""
+    parser.add_argument("clip", type=Path, metavar="CLIP", help="saved as .npz, .json, .glb or .bvh")
+    parser.add_argument("character", type=Path, metavar="CHARACTER", help="a skinned human: .glb or .vrm")
+    parser.add_argument("-o", "--output", type=Path, required=True, metavar="FILE", help=".glb to write")
+    _add_map(parser)
+    parser.add_argument("--fps", type=float, metavar="N", help="frames per second of the animation; default 30")
+    parser.add_argument("--in-place", action="store_true", help="remove travel over the floor")
+    parser.add_argument("--root", action="store_true", help="let the joint above the pelvis carry travel and heading")
+    _add_force(parser)
+    parser.add_argument("--json", action="store_true", help="print one JSON object on one line")
+
+
 def add_view(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of `view`."""
     parser.add_argument("clips", nargs="+", type=Path, metavar="CLIP", help="saved as .npz, .json, .glb or .bvh")
@@ -152,6 +165,15 @@ def _add_edits(parser: argparse.ArgumentParser) -> None:
         )
 
 
+def _add_map(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--map",
+        type=Path,
+        metavar="FILE.json",
+        help='joints of the character that are not found: {"left_hip": "name of the joint", ...}',
+    )
+
+
 def _add_seconds(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--seconds", type=float, metavar="S", help="length; default: the sentence decides")
 
@@ -171,7 +193,19 @@ def _add_sampling_and_output(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--root", action="store_true", help="add a joint 'root' that carries travel and heading in .bvh and .glb"
     )
-    parser.add_argument("--fps", type=float, metavar="N", help="frames per second of the file; default: the model's 20")
+    parser.add_argument(
+        "--character",
+        type=Path,
+        metavar="FILE",
+        help="a skinned human, .glb or .vrm; the .glb to write is this file with the clip as an animation",
+    )
+    _add_map(parser)
+    parser.add_argument(
+        "--fps",
+        type=float,
+        metavar="N",
+        help="frames per second of the file; default: the model's 20, or 30 with --character",
+    )
     parser.add_argument("--in-place", action="store_true", help="remove travel over the floor")
     parser.add_argument("--loop", action="store_true", help="cut and blend so that the end leads into the beginning")
     parser.add_argument("--seed", type=int, help="the same seed gives the same clip; default: a new one")
