@@ -136,8 +136,8 @@ class Clip:
         """Retarget the clip to a character; see `motion.retargeting`.
 
         Args:
-            character: `.glb` or `.vrm` file with a skinned human, or what `formats.character.read_character`
-                made of it.
+            character: `.glb` or `.vrm` file with a skinned human, `.bvh` skeleton, or what
+                `formats.character.read_character` made of it.
             fps: keys per second, 1 to 240.
             root: let the joint above the character's pelvis carry travel and heading, as engines expect for root
                 motion. To leave travel to the game, call `in_place` first.
@@ -145,7 +145,8 @@ class Clip:
                 found by themselves.
 
         Returns:
-            What `save` writes as `.glb`: the character's file with the clip as one more animation.
+            What `save` writes as `.glb`: the character's file with the clip as one more animation. On a BVH skeleton
+            it writes a `.bvh` with the skeleton's own joints and channels.
 
         Raises:
             InvalidInputError: not a frame rate, or the file cannot be used; see `formats.character.read_character`.

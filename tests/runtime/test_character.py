@@ -426,7 +426,7 @@ def test_damaged_files_are_refused(tmp_path: Path) -> None:
         read_character(path)
     with pytest.raises(InvalidInputError, match="there is no file"):
         read_character(tmp_path / "nobody.glb")
-    with pytest.raises(InvalidInputError, match=r"must be .glb or .vrm"):
+    with pytest.raises(InvalidInputError, match=r"must be .bvh or .glb or .vrm"):
         read_character(tmp_path / "hero.fbx")
 
 

@@ -104,8 +104,10 @@ def add_sequence(parser: argparse.ArgumentParser) -> None:
 def add_retarget(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of `retarget`."""
     parser.add_argument("clip", type=Path, metavar="CLIP", help="saved as .npz, .json, .glb or .bvh")
-    parser.add_argument("character", type=Path, metavar="CHARACTER", help="a skinned human: .glb or .vrm")
-    parser.add_argument("-o", "--output", type=Path, required=True, metavar="FILE", help=".glb to write")
+    parser.add_argument(
+        "character", type=Path, metavar="CHARACTER", help="a skinned human, .glb or .vrm, or a .bvh skeleton"
+    )
+    parser.add_argument("-o", "--output", type=Path, required=True, metavar="FILE", help=".glb to write, or .bvh")
     _add_map(parser)
     parser.add_argument("--fps", type=float, metavar="N", help="frames per second of the animation; default 30")
     parser.add_argument("--in-place", action="store_true", help="remove travel over the floor")
@@ -185,7 +187,7 @@ def _add_sampling_and_output(parser: argparse.ArgumentParser) -> None:
         type=Path,
         required=True,
         metavar="FILE",
-        help="the suffix chooses the format: .bvh, .gif, .glb, .html, .json, .mp4, .npz, .png",
+        help="the suffix chooses the format: .bvh, .gif, .glb, .html, .json, .mp4, .npz, .png, .vrma",
     )
     parser.add_argument(
         "--names", default="smpl", metavar="CONVENTION", help="joint names in .bvh and .glb: smpl (default) or mixamo"
@@ -195,9 +197,11 @@ def _add_sampling_and_output(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--character",
+        "--skeleton",
         type=Path,
         metavar="FILE",
-        help="a skinned human, .glb or .vrm; the .glb to write is this file with the clip as an animation",
+        help="a skinned human, .glb or .vrm: the .glb to write is this file with the clip as an animation; or a .bvh "
+        "skeleton for the .bvh to write",
     )
     _add_map(parser)
     parser.add_argument(

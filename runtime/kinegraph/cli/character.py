@@ -19,12 +19,11 @@ def retarget(args: argparse.Namespace) -> int:
     """Run `kinegraph retarget`: put a saved clip on a character."""
     from kinegraph.files import check_target
     from kinegraph.formats import read
-    from kinegraph.formats.character import SUFFIXES
 
     start = time.perf_counter()
-    check_target(args.output, args.force, SUFFIXES)
-    clip = read(args.clip)
     character = load_character(args.character, args.map)
+    check_target(args.output, args.force, (character.suffix,))
+    clip = read(args.clip)
     clip = clip.in_place() if args.in_place else clip
     shown = clip.onto(character, fps=character_fps(args.fps), root=args.root)
     shown.save(args.output, force=args.force)
@@ -66,13 +65,14 @@ def check_character(args: argparse.Namespace) -> None:
     """Refuse options that do not fit `--character`, before anything is computed.
 
     Raises:
-        InvalidInputError: another file than `.glb`, a naming convention, or `--map` alone.
+        InvalidInputError: another format than the character's, a naming convention, or `--map` alone.
     """
     if args.character is None:
         if args.map is not None:
             raise InvalidInputError("--map names the joints of a --character; give both")
         return
-    if args.output.suffix.lower() != ".glb":
-        raise InvalidInputError(f"a clip on a character is saved as .glb, not as {str(args.output)!r}")
+    suffix = ".bvh" if args.character.suffix.lower() == ".bvh" else ".glb"
+    if args.output.suffix.lower() != suffix:
+        raise InvalidInputError(f"a clip on {str(args.character)!r} is saved as {suffix}, not as {str(args.output)!r}")
     if args.names != "smpl":
         raise InvalidInputError("--names is for our own skeleton; a --character keeps the names of its joints")

@@ -23,7 +23,10 @@ from numpy.typing import NDArray
 from kinegraph.arrays import Floats
 from kinegraph.errors import InvalidInputError
 from kinegraph.files import check_target, write_atomically
-from kinegraph.formats.gltf import Buffer, Document, container, item, read_array, split_container
+from kinegraph.formats.bvh_skeleton import BvhSkeleton, read_skeleton
+from kinegraph.formats.bvh_skeleton import encode as encode_bvh
+from kinegraph.formats.glb import provenance
+from kinegraph.formats.gltf import Buffer, Document, add_animation, container, item, read_array, split_container
 from kinegraph.motion.humanoid import SIDES, Humanoid, find_humanoid
 from kinegraph.motion.kinematics import rotations_from_positions
 from kinegraph.motion.quaternions import from_matrix, normalised
@@ -36,9 +39,7 @@ from kinegraph.validation import check_fps
 if TYPE_CHECKING:
     from kinegraph.clip import Clip
 
-SUFFIXES: Final = (".glb",)
-"""Formats that a clip on a character can be saved in."""
-READ_SUFFIXES: Final = (".glb", ".vrm")
+READ_SUFFIXES: Final = (".bvh", ".glb", ".vrm")
 DEFAULT_FPS: Final = 30.0
 MAX_BYTES: Final = 1 << 28
 """Size of a character that is read."""
@@ -60,8 +61,20 @@ class Character:
     floor: float
     """Height of the soles at rest, in the units of the file."""
     document: Document
-    """JSON of the file; never changed."""
+    """JSON of the file; never changed. Empty for a BVH skeleton."""
     binary: bytes
+    skeleton: BvhSkeleton | None = None
+    """Of a `.bvh` file."""
+
+    @property
+    def pelvis(self) -> int:
+        """Node of the pelvis."""
+        return self.humanoid.bones["pelvis"]
+
+    @property
+    def suffix(self) -> str:
+        """Format that a clip on it is saved in."""
+        return ".glb" if self.skeleton is None else ".bvh"
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,28 +91,30 @@ class CharacterClip:
     @property
     def frames(self) -> int:
         """Number of keys of every track."""
-        return len(self.motion().rotations[self.character.humanoid.bones["pelvis"]])
+        return len(self.motion().rotations[self.character.pelvis])
 
     def motion(self) -> RigMotion:
         """Compute the tracks of the character's nodes."""
         return _retargeted(self, self.character.rig, _root_node(self.character) if self.root else None)
 
     def encode(self) -> bytes:
-        """Encode the character's file with the clip as one more animation; equal clips give equal bytes.
+        """Encode the character's file with the clip; equal clips give equal bytes.
+
+        A `.glb` has it as one more animation, a `.bvh` as its motion.
 
         Raises:
-            InvalidInputError: the character's legs have no length.
+            InvalidInputError: the character's legs have no length, or a BVH joint lacks channels.
         """
-        return _encode(self)
+        return _encode(self) if self.character.skeleton is None else _encode_bvh(self, self.character.skeleton)
 
     def save(self, path: str | os.PathLike[str], *, force: bool = False) -> None:
-        """Write a `.glb` file; it appears complete or not at all.
+        """Write a `.glb` file, or a `.bvh` for a BVH skeleton; it appears complete or not at all.
 
         Raises:
             InvalidInputError: the character's legs have no length.
             OutputError: the file cannot be written there; see `files.check_target`.
         """
-        check_target(path, force, SUFFIXES)
+        check_target(path, force, (self.character.suffix,))
         write_atomically(path, self.encode(), force=force)
 
 
@@ -107,7 +122,7 @@ def read_character(path: str | os.PathLike[str], names: Mapping[str, str] | None
     """Read a character.
 
     Args:
-        path: `.glb` or `.vrm` file with one skinned human.
+        path: `.glb` or `.vrm` file with one skinned human, or a `.bvh` skeleton.
         names: joint of `JOINT_NAMES` -> name of a node, for what is not found by itself.
 
     Raises:
@@ -116,6 +131,8 @@ def read_character(path: str | os.PathLike[str], names: Mapping[str, str] | None
     """
     file = Path(path)
     try:
+        if file.suffix.lower() == ".bvh":
+            return _read_bvh(file, names)
         document, binary = _embed(*split_container(_read_bytes(file, MAX_BYTES, READ_SUFFIXES)), file.parent)
         _refuse_compressed(document)
         rig = _read_rig(document)
@@ -128,6 +145,22 @@ def read_character(path: str | os.PathLike[str], names: Mapping[str, str] | None
             f"{str(path)!r} cannot be used as a character: it is damaged ({repr(error)[:200]})"
         ) from error
     return Character(str(path), rig, humanoid, floor, document, binary)
+
+
+def _read_bvh(path: Path, names: Mapping[str, str] | None) -> Character:
+    skeleton = read_skeleton(_read_bytes(path, MAX_BYTES, (".bvh",)))
+    humanoid = find_humanoid(skeleton.rig, names=names)
+    ankles = {humanoid.bones[f"{side}_ankle"] for side in SIDES}
+    feet = [node for node in skeleton.rig.joints if ankles & set(skeleton.rig.ancestors(node))]
+    floor = float(skeleton.rig.positions[feet, 1].min())
+    return Character(str(path), skeleton.rig, humanoid, floor, {}, b"", skeleton)
+
+
+def _encode_bvh(shown: CharacterClip, skeleton: BvhSkeleton) -> bytes:
+    root = _root_node(shown.character) if shown.root else None
+    if root is not None and not (root >= 0 and skeleton.moves(root) and skeleton.moves(shown.character.pelvis)):
+        raise InvalidInputError("root motion needs a joint above the pelvis; both must have position channels")
+    return encode_bvh(skeleton, _retargeted(shown, skeleton.rig, root), shown.fps)
 
 
 def read_names(path: str | os.PathLike[str]) -> dict[str, str]:
@@ -357,7 +390,7 @@ def _lowest(
 
 def _root_node(character: Character) -> int:
     """Find the joint above the pelvis that can carry travel; -1 where there is none."""
-    return character.rig.parents[character.humanoid.bones["pelvis"]]
+    return character.rig.parents[character.pelvis]
 
 
 def _retargeted(shown: CharacterClip, rig: Rig, root: int | None) -> RigMotion:
@@ -375,8 +408,8 @@ def _encode(shown: CharacterClip) -> bytes:
     if shown.root:
         root = _root_node(character)
         if root < 0:
-            root, rig = len(nodes), _with_root(rig, character.humanoid.bones["pelvis"])
-            nodes.append({"name": ROOT_NAME, "children": [character.humanoid.bones["pelvis"]]})
+            root, rig = len(nodes), _with_root(rig, character.pelvis)
+            nodes.append({"name": ROOT_NAME, "children": [character.pelvis]})
             document["scenes"] = [
                 _with_root_in(scene, nodes[-1]["children"][0], root) for scene in document.get("scenes", ())
             ]
@@ -424,24 +457,16 @@ def _with_parts(node: Document, rig: Rig, index: int) -> Document:
 
 
 def _animation(buffer: Buffer, shown: CharacterClip, motion: RigMotion, others: list[Document]) -> Document:
-    """Store the tracks, with a key at every frame; the name is the caption, with a number where that is taken."""
+    """Store the tracks; the name is the caption, with a number where that is taken."""
     clip = shown.clip
-    frames = len(next(iter(motion.rotations.values())))
-    times = buffer.add((np.arange(frames) / shown.fps).astype(np.float32), bounds=True)
-    samplers, channels = [], []
-    tracks = [("translation", node, track) for node, track in motion.translations.items()]
-    tracks += [("rotation", node, track[:, [1, 2, 3, 0]]) for node, track in motion.rotations.items()]
-    for path, node, values in tracks:
-        samplers.append({"input": times, "output": buffer.add(values.astype(np.float32)), "interpolation": "LINEAR"})
-        channels.append({"sampler": len(samplers) - 1, "target": {"node": node, "path": path}})
     taken = {other.get("name") for other in others}
     name = caption = clip.text[:64] or "clip"
     number = 1
     while name in taken:
         number += 1
         name = f"{caption} ({number})"
-    extras = {"text": clip.text, "seed": str(clip.seed), "bundle": clip.bundle, "fps": shown.fps}
-    return {"name": name, "samplers": samplers, "channels": channels, "extras": {"kinegraph": extras}}
+    animation = add_animation(buffer, name, shown.fps, motion.translations, motion.rotations)
+    return {**animation, "extras": {"kinegraph": {**provenance(clip), "fps": shown.fps}}}
 
 
 def onto(clip: Clip, character: Character, fps: float = DEFAULT_FPS, root: bool = False) -> CharacterClip:

@@ -50,7 +50,7 @@ def encode(clip: Clip, names: str = DEFAULT_NAMES, root: bool = False) -> bytes:
     mesh, skin = _mesh(buffer, rest), _skin(buffer, rest, root)
     nodes = _nodes(motion.rest_offsets, rest, CONVENTIONS[names], root)
     document = {
-        "asset": {"version": "2.0", "generator": GENERATOR, "extras": _provenance(clip)},
+        "asset": {"version": "2.0", "generator": GENERATOR, "extras": provenance(clip)},
         "scene": 0,
         "scenes": [{"nodes": [skin["skeleton"], len(nodes)], "name": "clip"}],
         "nodes": [*nodes, {"name": "body", "mesh": 0, "skin": 0}],
@@ -65,7 +65,7 @@ def encode(clip: Clip, names: str = DEFAULT_NAMES, root: bool = False) -> bytes:
     return container(document, bytes(buffer.data))
 
 
-def _provenance(clip: Clip) -> dict[str, Any]:
+def provenance(clip: Clip) -> dict[str, Any]:
     """List what is needed to generate the clip again."""
     return {"text": clip.text, "seed": str(clip.seed), "bundle": clip.bundle, "fps": clip.fps}
 

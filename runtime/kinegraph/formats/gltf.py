@@ -8,12 +8,13 @@ from __future__ import annotations
 
 import json
 import struct
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from kinegraph.arrays import Floats
 from kinegraph.errors import InvalidInputError
 
 FLOAT, UNSIGNED_BYTE, UNSIGNED_SHORT = 5126, 5121, 5123
@@ -63,6 +64,29 @@ class Buffer:
             accessor |= {"min": np.atleast_1d(array.min(0)).tolist(), "max": np.atleast_1d(array.max(0)).tolist()}
         self.accessors.append(accessor)
         return len(self.accessors) - 1
+
+
+def add_animation(
+    buffer: Buffer, name: str, fps: float, translations: Mapping[int, Floats], rotations: Mapping[int, Floats]
+) -> Document:
+    """Store tracks with a key at every frame, and return the animation.
+
+    Args:
+        buffer: gains one array of times and one of each track.
+        name: of the animation.
+        fps: keys per second.
+        translations: node -> (frames, 3).
+        rotations: node -> (frames, 4) quaternions w, x, y, z.
+    """
+    # glTF orders quaternions x, y, z, w
+    tracks = [("translation", node, track) for node, track in translations.items()]
+    tracks += [("rotation", node, track[:, [1, 2, 3, 0]]) for node, track in rotations.items()]
+    times = buffer.add((np.arange(len(tracks[0][2])) / fps).astype(np.float32), bounds=True)
+    samplers, channels = [], []
+    for path, node, values in tracks:
+        samplers.append({"input": times, "output": buffer.add(values.astype(np.float32)), "interpolation": "LINEAR"})
+        channels.append({"sampler": len(samplers) - 1, "target": {"node": node, "path": path}})
+    return {"name": name, "samplers": samplers, "channels": channels}
 
 
 def container(document: dict[str, Any], binary: bytes) -> bytes:
