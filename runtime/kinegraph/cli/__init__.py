@@ -1,4 +1,4 @@
-"""The command line: `kinegraph generate | compose | sequence | retarget | view | play | parse | info | verify | bench`.
+"""The command line: `kinegraph generate | compose | sequence | batch | retarget | view | play | serve | parse ...`.
 
 Exit codes: 0 success; 2 invalid input, bundle or target (one line on stderr says why); 130 interrupted.
 """
@@ -14,6 +14,7 @@ from typing import Final
 
 from kinegraph import __version__
 from kinegraph.cli.arguments import (
+    add_batch,
     add_bench,
     add_bundle,
     add_compose,
@@ -25,6 +26,7 @@ from kinegraph.cli.arguments import (
     add_sequence,
     add_view,
 )
+from kinegraph.cli.batch import batch
 from kinegraph.cli.character import retarget
 from kinegraph.cli.console import one_line
 from kinegraph.cli.generate import compose, generate, sequence
@@ -46,6 +48,7 @@ COMMANDS: Final[tuple[tuple[str, str, AddArguments, Run], ...]] = (
     ("generate", "make a clip from a sentence or a graph", add_generate, generate),
     ("compose", "make a clip of several motions at once, or without some", add_compose, compose),
     ("sequence", "make a clip of several sentences, one after another", add_sequence, sequence),
+    ("batch", "make a clip of every row of a table, on all cores", add_batch, batch),
     ("retarget", "put a saved clip on a character", add_retarget, retarget),
     ("view", "show saved clips in the browser", add_view, view),
     ("play", "make clips in the browser, on this machine", add_play, play),

@@ -116,6 +116,27 @@ def add_retarget(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--json", action="store_true", help="print one JSON object on one line")
 
 
+def add_batch(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of `batch`."""
+    parser.add_argument(
+        "table", type=Path, metavar="PROMPTS.csv", help="columns: text, and seconds, seed, name if wanted"
+    )
+    parser.add_argument("-o", "--output", type=Path, required=True, metavar="FOLDER", help="for the files and manifest")
+    parser.add_argument("--format", default=".npz", metavar="SUFFIX", help="of the files; default .npz")
+    parser.add_argument("--character", "--skeleton", type=Path, metavar="FILE", help="put every clip on this character")
+    parser.add_argument("--names", default="smpl", metavar="CONVENTION", help="joint names: smpl (default) or mixamo")
+    parser.add_argument("--root", action="store_true", help="add a joint that carries travel and heading")
+    parser.add_argument("--fps", type=float, metavar="N", help="frames per second of the files")
+    parser.add_argument("--in-place", action="store_true", help="remove travel over the floor")
+    parser.add_argument("--loop", action="store_true", help="cut and blend so that the end leads into the beginning")
+    parser.add_argument("--seed", type=int, default=0, help="of the first row without one; row k has this and k - 1")
+    parser.add_argument("--strict", action="store_true", help="rows with words that the bundle was never shown fail")
+    parser.add_argument("--workers", type=int, metavar="N", help="processes; default: one for each core")
+    parser.add_argument("--progress", action="store_true", help="show progress even if stderr is no terminal")
+    parser.add_argument("--quiet", action="store_true", help="print nothing but errors")
+    add_bundle(parser)
+
+
 def add_view(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of `view`."""
     parser.add_argument("clips", nargs="+", type=Path, metavar="CLIP", help="saved as .npz, .json, .glb or .bvh")
