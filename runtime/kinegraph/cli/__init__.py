@@ -24,6 +24,7 @@ from kinegraph.cli.arguments import (
     add_play,
     add_retarget,
     add_sequence,
+    add_serve,
     add_view,
 )
 from kinegraph.cli.batch import batch
@@ -31,7 +32,7 @@ from kinegraph.cli.character import retarget
 from kinegraph.cli.console import one_line
 from kinegraph.cli.generate import compose, generate, sequence
 from kinegraph.cli.inspect import info, parse, run_bench, verify
-from kinegraph.cli.pages import play, view
+from kinegraph.cli.pages import play, serve, view
 from kinegraph.errors import Cancelled, KinegraphError
 
 # Modules that load numpy or onnxruntime are imported where they are used: `--help` must be instant.
@@ -52,6 +53,7 @@ COMMANDS: Final[tuple[tuple[str, str, AddArguments, Run], ...]] = (
     ("retarget", "put a saved clip on a character", add_retarget, retarget),
     ("view", "show saved clips in the browser", add_view, view),
     ("play", "make clips in the browser, on this machine", add_play, play),
+    ("serve", "make clips for other programs, over HTTP", add_serve, serve),
     ("parse", "print or draw the semantic graph of a sentence", add_parse, parse),
     ("info", "describe a bundle: abilities, licences, provenance, sizes, quality", add_info, info),
     ("verify", "check every file, operator and session of a bundle", add_bundle, verify),

@@ -153,6 +153,18 @@ def add_play(parser: argparse.ArgumentParser) -> None:
     _add_bundle_path(parser)
 
 
+def add_serve(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of `serve`."""
+    parser.add_argument("--port", type=int, default=8421, metavar="N", help="default 8421; 0 takes any free port")
+    parser.add_argument("--host", metavar="ADDRESS", help="answer other machines, too, e.g. 0.0.0.0; needs a token")
+    parser.add_argument(
+        "--token", help="what requests must send as Authorization: Bearer; better in the variable KINEGRAPH_TOKEN"
+    )
+    parser.add_argument("--characters", type=Path, metavar="FOLDER", help="characters that requests may name")
+    _add_threads(parser)
+    _add_bundle_path(parser)
+
+
 def add_parse(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of `parse`."""
     parser.add_argument("text", nargs="?", help="the sentence")
