@@ -17,6 +17,8 @@ kinegraph generate "a person walks and turns right" --seconds 4 --seed 6 --weigh
 kinegraph generate "a person walks and turns right" --seconds 4 --seed 6 -o graph_more.png
 # README.md, docs/cli.md: play.jpg, phone.jpg, view.jpg
 "$python" pages.py
+# docs/characters.md
+"$python" characters.py
 # docs/composition.md
 kinegraph compose --and "a person walks forward" --and "a person raises both hands" --seconds 4 --seed 2 -o compose_walk.png
 kinegraph compose --and "a person walks and turns left" --and "a person waves both hands" --seconds 4 --seed 6 -o compose_turn.png

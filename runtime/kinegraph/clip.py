@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -16,6 +18,9 @@ from kinegraph.motion.resampling import in_place, resample
 from kinegraph.motion.skeleton import DEFAULT_NAMES, JOINTS
 from kinegraph.unknown import Unknown
 from kinegraph.validation import check_flag, check_fps, short_repr
+
+if TYPE_CHECKING:
+    from kinegraph.formats.character import Character, CharacterClip
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,6 +124,37 @@ class Clip:
         """
         check_flag(foot_fix, "foot_fix")
         return replace(self, joints=make_loop(self.joints, self.fps, foot_fix=foot_fix), loops=True)
+
+    def onto(
+        self,
+        character: str | os.PathLike[str] | Character,
+        *,
+        fps: float = 30.0,
+        root: bool = False,
+        names: Mapping[str, str] | None = None,
+    ) -> CharacterClip:
+        """Retarget the clip to a character; see `motion.retargeting`.
+
+        Args:
+            character: `.glb` or `.vrm` file with a skinned human, `.bvh` skeleton, or what
+                `formats.character.read_character` made of it.
+            fps: keys per second, 1 to 240.
+            root: let the joint above the character's pelvis carry travel and heading, as engines expect for root
+                motion. To leave travel to the game, call `in_place` first.
+            names: joint of `motion.skeleton.JOINT_NAMES` -> name of the character's joint, for joints that are not
+                found by themselves.
+
+        Returns:
+            What `save` writes as `.glb`: the character's file with the clip as one more animation. On a BVH skeleton
+            it writes a `.bvh` with the skeleton's own joints and channels.
+
+        Raises:
+            InvalidInputError: not a frame rate, or the file cannot be used; see `formats.character.read_character`.
+        """
+        from kinegraph.formats.character import Character, onto, read_character
+
+        known = character if isinstance(character, Character) else read_character(character, names)
+        return onto(self, known, fps, root)
 
     def save(
         self, path: str | os.PathLike[str], *, force: bool = False, names: str = DEFAULT_NAMES, root: bool = False

@@ -21,7 +21,7 @@ WIDTHS = {"SCALAR": 1, "VEC3": 3, "VEC4": 4, "MAT4": 16}
 IN_BLENDER = Path(__file__).resolve().parents[1] / "oracle" / "blender_joints.py"
 
 
-def matrix(translation: np.ndarray, rotation: np.ndarray) -> np.ndarray:
+def matrix(translation: np.ndarray, rotation: np.ndarray, scale: np.ndarray | float = 1.0) -> np.ndarray:
     """Build the (4, 4) transform of a node from its x, y, z, w quaternion by the textbook formula."""
     x, y, z, w = (float(value) for value in rotation)
     transform = np.eye(4)
@@ -30,6 +30,7 @@ def matrix(translation: np.ndarray, rotation: np.ndarray) -> np.ndarray:
         [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
         [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
     ]
+    transform[:3, :3] *= scale
     transform[:3, 3] = translation
     return transform
 
@@ -50,11 +51,11 @@ class GlbReader:
         dtype = DTYPES[accessor.componentType]
         return np.frombuffer(self._blob, dtype, accessor.count * width, view.byteOffset).reshape(accessor.count, width)
 
-    def world_transforms(self, frame: int | None) -> dict[int, np.ndarray]:
-        """Compute the world matrix of every node at a key, or at rest."""
+    def world_transforms(self, frame: int | None, animation: int = 0) -> dict[int, np.ndarray]:
+        """Compute the world matrix of every node at a key of an animation, or at rest."""
         tracks: dict[tuple[int, str], np.ndarray] = {}
-        for channel in self.file.animations[0].channels:
-            sampler = self.file.animations[0].samplers[channel.sampler]
+        for channel in self.file.animations[animation].channels:
+            sampler = self.file.animations[animation].samplers[channel.sampler]
             tracks[channel.target.node, channel.target.path] = self.array(sampler.output)
         world: dict[int, np.ndarray] = {}
 
@@ -64,13 +65,49 @@ class GlbReader:
             for path in local:
                 if frame is not None and (number, path) in tracks:
                     local[path] = tracks[number, path][frame]
-            world[number] = parent @ matrix(local["translation"], local["rotation"])
+            own = matrix(local["translation"], local["rotation"], node.scale or 1.0)
+            if node.matrix and (number, "rotation") not in tracks:
+                own = np.array(node.matrix).reshape(4, 4).T
+            world[number] = parent @ own
             for child in node.children or []:
                 visit(child, world[number])
 
         for root in self.file.scenes[0].nodes:
             visit(root, np.eye(4))
         return world
+
+    def points(self, animation: int) -> np.ndarray:
+        """Locate the joints of the skin at every key of an animation: (keys, joints, 3); all keys at once."""
+        tracks, count = {}, 1
+        for channel in self.file.animations[animation].channels:
+            sampler = self.file.animations[animation].samplers[channel.sampler]
+            tracks[channel.target.node, channel.target.path] = self.array(sampler.output).astype(np.float64)
+            count = self.file.accessors[sampler.input].count
+        world: dict[int, np.ndarray] = {}
+
+        def visit(number: int, parent: np.ndarray) -> None:
+            node = self.file.nodes[number]
+            own = np.tile(np.eye(4), (count, 1, 1))
+            if node.matrix and (number, "rotation") not in tracks:
+                own[:] = np.array(node.matrix).reshape(4, 4).T
+            else:
+                x, y, z, w = np.moveaxis(
+                    tracks.get((number, "rotation"), np.array([node.rotation or [0, 0, 0, 1]])), -1, 0
+                )
+                rows = [
+                    [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+                    [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+                    [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+                ]
+                own[:, :3, :3] = np.moveaxis(np.array(rows), -1, 0) * (node.scale or [1, 1, 1])
+                own[:, :3, 3] = tracks.get((number, "translation"), node.translation or [0, 0, 0])
+            world[number] = parent @ own
+            for child in node.children or []:
+                visit(child, world[number])
+
+        for root in self.file.scenes[0].nodes:
+            visit(root, np.eye(4))
+        return np.stack([world[node][:, :3, 3] for node in self.file.skins[0].joints], axis=1)
 
     def joints(self, frame: int) -> np.ndarray:
         """Locate the joints of the skin at a key: (22, 3) metres."""

@@ -1,4 +1,4 @@
-"""The command line: `kinegraph generate | compose | sequence | view | play | parse | info | verify | bench`.
+"""The command line: `kinegraph generate | compose | sequence | batch | retarget | view | play | serve | parse ...`.
 
 Exit codes: 0 success; 2 invalid input, bundle or target (one line on stderr says why); 130 interrupted.
 """
@@ -14,6 +14,7 @@ from typing import Final
 
 from kinegraph import __version__
 from kinegraph.cli.arguments import (
+    add_batch,
     add_bench,
     add_bundle,
     add_compose,
@@ -21,13 +22,17 @@ from kinegraph.cli.arguments import (
     add_info,
     add_parse,
     add_play,
+    add_retarget,
     add_sequence,
+    add_serve,
     add_view,
 )
+from kinegraph.cli.batch import batch
+from kinegraph.cli.character import retarget
 from kinegraph.cli.console import one_line
 from kinegraph.cli.generate import compose, generate, sequence
 from kinegraph.cli.inspect import info, parse, run_bench, verify
-from kinegraph.cli.pages import play, view
+from kinegraph.cli.pages import play, serve, view
 from kinegraph.errors import Cancelled, KinegraphError
 
 # Modules that load numpy or onnxruntime are imported where they are used: `--help` must be instant.
@@ -44,8 +49,11 @@ COMMANDS: Final[tuple[tuple[str, str, AddArguments, Run], ...]] = (
     ("generate", "make a clip from a sentence or a graph", add_generate, generate),
     ("compose", "make a clip of several motions at once, or without some", add_compose, compose),
     ("sequence", "make a clip of several sentences, one after another", add_sequence, sequence),
+    ("batch", "make a clip of every row of a table, on all cores", add_batch, batch),
+    ("retarget", "put a saved clip on a character", add_retarget, retarget),
     ("view", "show saved clips in the browser", add_view, view),
     ("play", "make clips in the browser, on this machine", add_play, play),
+    ("serve", "make clips for other programs, over HTTP", add_serve, serve),
     ("parse", "print or draw the semantic graph of a sentence", add_parse, parse),
     ("info", "describe a bundle: abilities, licences, provenance, sizes, quality", add_info, info),
     ("verify", "check every file, operator and session of a bundle", add_bundle, verify),

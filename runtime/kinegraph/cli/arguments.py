@@ -101,6 +101,42 @@ def add_sequence(parser: argparse.ArgumentParser) -> None:
     _add_sampling_and_output(parser)
 
 
+def add_retarget(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of `retarget`."""
+    parser.add_argument("clip", type=Path, metavar="CLIP", help="saved as .npz, .json, .glb or .bvh")
+    parser.add_argument(
+        "character", type=Path, metavar="CHARACTER", help="a skinned human, .glb or .vrm, or a .bvh skeleton"
+    )
+    parser.add_argument("-o", "--output", type=Path, required=True, metavar="FILE", help=".glb to write, or .bvh")
+    _add_map(parser)
+    parser.add_argument("--fps", type=float, metavar="N", help="frames per second of the animation; default 30")
+    parser.add_argument("--in-place", action="store_true", help="remove travel over the floor")
+    parser.add_argument("--root", action="store_true", help="let the joint above the pelvis carry travel and heading")
+    _add_force(parser)
+    parser.add_argument("--json", action="store_true", help="print one JSON object on one line")
+
+
+def add_batch(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of `batch`."""
+    parser.add_argument(
+        "table", type=Path, metavar="PROMPTS.csv", help="columns: text, and seconds, seed, name if wanted"
+    )
+    parser.add_argument("-o", "--output", type=Path, required=True, metavar="FOLDER", help="for the files and manifest")
+    parser.add_argument("--format", default=".npz", metavar="SUFFIX", help="of the files; default .npz")
+    parser.add_argument("--character", "--skeleton", type=Path, metavar="FILE", help="put every clip on this character")
+    parser.add_argument("--names", default="smpl", metavar="CONVENTION", help="joint names: smpl (default) or mixamo")
+    parser.add_argument("--root", action="store_true", help="add a joint that carries travel and heading")
+    parser.add_argument("--fps", type=float, metavar="N", help="frames per second of the files")
+    parser.add_argument("--in-place", action="store_true", help="remove travel over the floor")
+    parser.add_argument("--loop", action="store_true", help="cut and blend so that the end leads into the beginning")
+    parser.add_argument("--seed", type=int, default=0, help="of the first row without one; row k has this and k - 1")
+    parser.add_argument("--strict", action="store_true", help="rows with words that the bundle was never shown fail")
+    parser.add_argument("--workers", type=int, metavar="N", help="processes; default: one for each core")
+    parser.add_argument("--progress", action="store_true", help="show progress even if stderr is no terminal")
+    parser.add_argument("--quiet", action="store_true", help="print nothing but errors")
+    add_bundle(parser)
+
+
 def add_view(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of `view`."""
     parser.add_argument("clips", nargs="+", type=Path, metavar="CLIP", help="saved as .npz, .json, .glb or .bvh")
@@ -113,6 +149,18 @@ def add_play(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of `play`."""
     parser.add_argument("--port", type=int, default=8420, metavar="N", help="default 8420; 0 takes any free port")
     parser.add_argument("--no-browser", dest="browser", action="store_false", help="only print the address")
+    _add_threads(parser)
+    _add_bundle_path(parser)
+
+
+def add_serve(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of `serve`."""
+    parser.add_argument("--port", type=int, default=8421, metavar="N", help="default 8421; 0 takes any free port")
+    parser.add_argument("--host", metavar="ADDRESS", help="answer other machines, too, e.g. 0.0.0.0; needs a token")
+    parser.add_argument(
+        "--token", help="what requests must send as Authorization: Bearer; better in the variable KINEGRAPH_TOKEN"
+    )
+    parser.add_argument("--characters", type=Path, metavar="FOLDER", help="characters that requests may name")
     _add_threads(parser)
     _add_bundle_path(parser)
 
@@ -152,6 +200,15 @@ def _add_edits(parser: argparse.ArgumentParser) -> None:
         )
 
 
+def _add_map(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--map",
+        type=Path,
+        metavar="FILE.json",
+        help='joints of the character that are not found: {"left_hip": "name of the joint", ...}',
+    )
+
+
 def _add_seconds(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--seconds", type=float, metavar="S", help="length; default: the sentence decides")
 
@@ -163,7 +220,7 @@ def _add_sampling_and_output(parser: argparse.ArgumentParser) -> None:
         type=Path,
         required=True,
         metavar="FILE",
-        help="the suffix chooses the format: .bvh, .gif, .glb, .html, .json, .mp4, .npz, .png",
+        help="the suffix chooses the format: .bvh, .gif, .glb, .html, .json, .mp4, .npz, .png, .vrma",
     )
     parser.add_argument(
         "--names", default="smpl", metavar="CONVENTION", help="joint names in .bvh and .glb: smpl (default) or mixamo"
@@ -171,7 +228,21 @@ def _add_sampling_and_output(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--root", action="store_true", help="add a joint 'root' that carries travel and heading in .bvh and .glb"
     )
-    parser.add_argument("--fps", type=float, metavar="N", help="frames per second of the file; default: the model's 20")
+    parser.add_argument(
+        "--character",
+        "--skeleton",
+        type=Path,
+        metavar="FILE",
+        help="a skinned human, .glb or .vrm: the .glb to write is this file with the clip as an animation; or a .bvh "
+        "skeleton for the .bvh to write",
+    )
+    _add_map(parser)
+    parser.add_argument(
+        "--fps",
+        type=float,
+        metavar="N",
+        help="frames per second of the file; default: the model's 20, or 30 with --character",
+    )
     parser.add_argument("--in-place", action="store_true", help="remove travel over the floor")
     parser.add_argument("--loop", action="store_true", help="cut and blend so that the end leads into the beginning")
     parser.add_argument("--seed", type=int, help="the same seed gives the same clip; default: a new one")

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 
+from kinegraph.cli.character import character_fps, check_character, load_character
 from kinegraph.cli.console import Progress, as_json, one_line
 from kinegraph.cli.inputs import apply_edits, load_pipeline, parse_concepts, read_text_or_graph, take_paths
 from kinegraph.errors import OutputError
@@ -159,6 +160,7 @@ def _check_targets(args: argparse.Namespace) -> list[Path]:
     targets = take_paths(args.output, args.takes)
     check_names(args.output.suffix.lower(), args.names)
     check_root(args.output.suffix.lower(), args.root)
+    check_character(args)
     for target in targets:
         check_clip_target(target, args.force)
     if args.fps is not None:
@@ -178,6 +180,7 @@ def _check_picture_target(path: Path, targets: Sequence[Path], force: bool) -> N
 def _run(args: argparse.Namespace, targets: Sequence[Path], make_clips: MakeClips) -> int:
     """Load the bundle, make the clips, write and report them."""
     start = time.perf_counter()
+    character = None if args.character is None else load_character(args.character, args.map)
     # Only `generate` has --graph; with it no sentence is parsed.
     pipeline = load_pipeline(args.bundle, args.threads, parses=getattr(args, "graph", None) is None)
     loaded = time.perf_counter()
@@ -189,12 +192,18 @@ def _run(args: argparse.Namespace, targets: Sequence[Path], make_clips: MakeClip
         _tell_unknown(clips[0])  # takes of one text share it
     for target, clip in zip(targets, clips, strict=True):
         write_start = time.perf_counter()
-        clip.save(target, force=args.force, names=args.names, root=args.root)
+        if character is None:
+            clip.save(target, force=args.force, names=args.names, root=args.root)
+            frames, fps = clip.frames, clip.fps
+        else:
+            shown = clip.onto(character, fps=character_fps(args.fps), root=args.root)
+            shown.save(target, force=args.force)
+            frames, fps = shown.frames, shown.fps
         record = {
             "file": str(target),
-            "frames": len(clip.joints),
-            "seconds": len(clip.joints) / clip.fps,
-            "fps": clip.fps,
+            "frames": frames,
+            "seconds": frames / fps,
+            "fps": fps,
             "seed": clip.seed,
             "bundle": f"{pipeline.manifest.name} {pipeline.manifest.version}",
             "unknown": [words.to_dict() for words in clip.unknown],
@@ -211,7 +220,8 @@ def _post_process(clip: Clip, args: argparse.Namespace) -> Clip:
     """Apply --loop, --in-place and --fps: loop and travel first, the frame rate last."""
     clip = clip.looped(foot_fix=args.foot_fix) if args.loop else clip
     clip = clip.in_place() if args.in_place else clip
-    return clip if args.fps is None else clip.resampled(args.fps)
+    # a character's motion is resampled when it is put on
+    return clip if args.fps is None or args.character is not None else clip.resampled(args.fps)
 
 
 def _tell_unknown(clip: Clip) -> None:

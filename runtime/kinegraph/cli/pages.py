@@ -1,4 +1,4 @@
-"""`kinegraph view | play`: show clips in the browser, from a file or from a server on this machine."""
+"""`kinegraph view | play | serve`: show clips in the browser, or answer other programs over HTTP."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 
 from kinegraph.cli.inputs import load_pipeline
-from kinegraph.errors import MissingExtraError
+from kinegraph.errors import InvalidInputError, MissingExtraError
 
 
 def view(args: argparse.Namespace) -> int:
@@ -47,4 +47,23 @@ def play(args: argparse.Namespace) -> int:
             serve(pipeline, listener, on_start)
         except KeyboardInterrupt:
             return 0  # the normal end
+    return 0
+
+
+def serve(args: argparse.Namespace) -> int:
+    """Run `kinegraph serve`: answer other programs until Ctrl+C, then print the times of the stages."""
+    try:
+        from kinegraph.service.server import open_socket, token_of
+        from kinegraph.service.server import serve as run
+    except ModuleNotFoundError as error:
+        raise MissingExtraError(f'kinegraph serve needs {error.name}: pip install "kinegraph[text,play]"') from error
+    token = token_of(args.token)
+    if args.characters is not None and not args.characters.is_dir():
+        raise InvalidInputError(f"there is no folder {str(args.characters)!r}")
+    with open_socket(args.host, args.port, token) as listener:
+        pipeline = load_pipeline(args.bundle, args.threads, parses=True)
+        service = run(
+            pipeline, listener, token, args.characters, lambda url: print(f"{url}v1/docs (Ctrl+C ends it)", flush=True)
+        )
+    print(service.times.summary())
     return 0

@@ -30,6 +30,7 @@ WRITERS: Final[dict[str, str]] = {
     ".mp4": "kinegraph.formats.video:encode_mp4",
     ".npz": "kinegraph.formats.npz:encode",
     ".png": "kinegraph.formats.contact_sheet:encode",
+    ".vrma": "kinegraph.formats.vrma:encode",
 }
 """Suffix -> module:function, `function(clip) -> bytes`; imported when used, as some need optional packages."""
 

@@ -9,6 +9,7 @@ add the two; for those the pelvis would have to rest at the origin, below the fl
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -62,25 +63,34 @@ def encode(clip: Clip, names: str = DEFAULT_NAMES, root: bool = False) -> bytes:
 
 
 def euler_zxy(matrices: Floats) -> Floats:
-    """Convert rotation matrices to Euler angles about Z, X, Y that are continuous over frames.
+    """Convert rotation matrices to Euler angles about Z, X, Y, the order of our files; see `euler_angles`."""
+    return euler_angles(matrices, (2, 0, 1))
+
+
+def euler_angles(matrices: Floats, axes: Sequence[int]) -> Floats:
+    """Convert rotation matrices to Euler angles that are continuous over frames.
 
     Each rotation has two sets of angles, and any angle may have whole turns added. The set nearest to the frame before
     is taken, so that programs which interpolate the angles show no spin.
 
     Args:
-        matrices: (frames, n, 3, 3), each `Rz Rx Ry`.
+        matrices: (frames, n, 3, 3), each `Ri Rj Rk` for the axes i, j, k.
+        axes: three different ones, 0, 1, 2 for x, y, z: (2, 0, 1) is `Rz Rx Ry`.
 
     Returns:
-        (frames, n, 3) radians in the order Z, X, Y.
+        (frames, n, 3) radians in the order of the axes.
     """
-    m = matrices
-    x = np.arcsin(np.clip(m[..., 2, 1], -1.0, 1.0))
-    # gimbal lock: at x = +-90 degrees only z +- y is known, so y is set to 0
-    locked = np.hypot(m[..., 0, 1], m[..., 1, 1]) < 1e-7
-    z = np.where(locked, np.arctan2(m[..., 1, 0], m[..., 0, 0]), np.arctan2(-m[..., 0, 1], m[..., 1, 1]))
-    y = np.where(locked, 0.0, np.arctan2(-m[..., 2, 0], m[..., 2, 2]))
-    first = np.stack([z, x, y], axis=-1)
-    second = np.stack([z + np.pi, np.pi - x, y + np.pi], axis=-1)
+    m, (i, j, k) = matrices, axes
+    # +1 for an even permutation of x, y, z
+    parity = 1.0 if (j - i) % 3 == 1 else -1.0
+    middle = np.arcsin(np.clip(parity * m[..., i, k], -1.0, 1.0))
+    # gimbal lock: at a middle angle of +-90 degrees only the sum of the others is known, so the last is set to 0
+    locked = np.hypot(m[..., j, k], m[..., k, k]) < 1e-7
+    first_unlocked = np.arctan2(-parity * m[..., j, k], m[..., k, k])
+    z = np.where(locked, np.arctan2(parity * m[..., k, j], m[..., j, j]), first_unlocked)
+    y = np.where(locked, 0.0, np.arctan2(-parity * m[..., i, j], m[..., i, i]))
+    first = np.stack([z, middle, y], axis=-1)
+    second = np.stack([z + np.pi, np.pi - middle, y + np.pi], axis=-1)
     angles = np.empty_like(first)
     previous = np.zeros_like(first[0])
     for frame in range(len(first)):

@@ -7,14 +7,13 @@ one animation: a rotation track per joint and a translation track of the pelvis,
 
 from __future__ import annotations
 
-import json
-import struct
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from kinegraph.formats.glb_mesh import body_mesh
+from kinegraph.formats.gltf import ARRAY_BUFFER, ELEMENT_ARRAY_BUFFER, Buffer, container
 from kinegraph.motion.kinematics import (
     CHILDREN,
     SkeletonMotion,
@@ -30,11 +29,6 @@ if TYPE_CHECKING:
 GENERATOR: Final = "kinegraph"
 ROOT_NODE: Final = JOINTS
 """Node of the root joint, where there is one."""
-
-FLOAT, UNSIGNED_BYTE, UNSIGNED_SHORT = 5126, 5121, 5123
-ARRAY_BUFFER, ELEMENT_ARRAY_BUFFER = 34962, 34963
-_TYPES: Final = {(): "SCALAR", (3,): "VEC3", (4,): "VEC4", (4, 4): "MAT4"}
-_COMPONENTS: Final = {"float32": FLOAT, "uint8": UNSIGNED_BYTE, "uint16": UNSIGNED_SHORT}
 
 _MATERIAL: Final = {
     "name": "body",
@@ -52,11 +46,11 @@ def encode(clip: Clip, names: str = DEFAULT_NAMES, root: bool = False) -> bytes:
     """
     motion = rotations_from_positions(clip.joints, clip.fps, loops=clip.loops)
     rest = rest_pose(motion.rest_offsets)
-    buffer = _Buffer()
+    buffer = Buffer()
     mesh, skin = _mesh(buffer, rest), _skin(buffer, rest, root)
     nodes = _nodes(motion.rest_offsets, rest, CONVENTIONS[names], root)
     document = {
-        "asset": {"version": "2.0", "generator": GENERATOR, "extras": _provenance(clip)},
+        "asset": {"version": "2.0", "generator": GENERATOR, "extras": provenance(clip)},
         "scene": 0,
         "scenes": [{"nodes": [skin["skeleton"], len(nodes)], "name": "clip"}],
         "nodes": [*nodes, {"name": "body", "mesh": 0, "skin": 0}],
@@ -68,47 +62,15 @@ def encode(clip: Clip, names: str = DEFAULT_NAMES, root: bool = False) -> bytes:
         "bufferViews": buffer.views,
         "buffers": [{"byteLength": len(buffer.data)}],
     }
-    return _container(document, bytes(buffer.data))
+    return container(document, bytes(buffer.data))
 
 
-class _Buffer:
-    """Binary chunk of the file, with the buffer views and accessors that describe its arrays."""
-
-    def __init__(self) -> None:
-        self.data = bytearray()
-        self.views: list[dict[str, Any]] = []
-        self.accessors: list[dict[str, Any]] = []
-
-    def add(self, array: NDArray[Any], *, target: int | None = None, bounds: bool = False) -> int:
-        """Append an array and return the index of its accessor.
-
-        Args:
-            array: (count, ...) of a component type that glTF knows.
-            target: what the GPU uses the view for, `ARRAY_BUFFER` or `ELEMENT_ARRAY_BUFFER`.
-            bounds: store the minimum and maximum; glTF requires them for positions and times.
-        """
-        view = {"buffer": 0, "byteOffset": len(self.data), "byteLength": array.nbytes}
-        self.views.append(view if target is None else {**view, "target": target})
-        self.data += np.ascontiguousarray(array).tobytes()
-        self.data += b"\0" * (-len(self.data) % 4)
-        accessor = {
-            "bufferView": len(self.views) - 1,
-            "componentType": _COMPONENTS[array.dtype.name],
-            "count": len(array),
-            "type": _TYPES[array.shape[1:]],
-        }
-        if bounds:
-            accessor |= {"min": np.atleast_1d(array.min(0)).tolist(), "max": np.atleast_1d(array.max(0)).tolist()}
-        self.accessors.append(accessor)
-        return len(self.accessors) - 1
-
-
-def _provenance(clip: Clip) -> dict[str, Any]:
+def provenance(clip: Clip) -> dict[str, Any]:
     """List what is needed to generate the clip again."""
     return {"text": clip.text, "seed": str(clip.seed), "bundle": clip.bundle, "fps": clip.fps}
 
 
-def _mesh(buffer: _Buffer, rest: NDArray[Any]) -> dict[str, Any]:
+def _mesh(buffer: Buffer, rest: NDArray[Any]) -> dict[str, Any]:
     """Store the body around joints (22, 3) at rest; glTF skins have four joints per vertex, two of them used here."""
     body = body_mesh(rest)
     skin_joints = np.zeros((len(body.joints), 4), dtype=np.uint8)
@@ -125,7 +87,7 @@ def _mesh(buffer: _Buffer, rest: NDArray[Any]) -> dict[str, Any]:
     return {"name": "body", "primitives": [{"attributes": attributes, "indices": indices, "material": 0}]}
 
 
-def _skin(buffer: _Buffer, rest: NDArray[Any], root: bool) -> dict[str, Any]:
+def _skin(buffer: Buffer, rest: NDArray[Any], root: bool) -> dict[str, Any]:
     """Store the inverse bind matrices of joints (22, 3) at rest: translations by -rest, as nothing is rotated."""
     joints = [*range(JOINTS), *([ROOT_NODE] if root else [])]
     # column-major, so the translation is in the last row; the root rests at the origin
@@ -166,7 +128,7 @@ def _tracks(motion: SkeletonMotion, clip: Clip, root: bool) -> list[tuple[str, i
     ]
 
 
-def _animation(buffer: _Buffer, clip: Clip, tracks: list[tuple[str, int, NDArray[Any]]]) -> dict[str, Any]:
+def _animation(buffer: Buffer, clip: Clip, tracks: list[tuple[str, int, NDArray[Any]]]) -> dict[str, Any]:
     """Store the tracks, with a key at every frame."""
     times = buffer.add((np.arange(clip.frames) / clip.fps).astype(np.float32), bounds=True)
     samplers, channels = [], []
@@ -176,11 +138,3 @@ def _animation(buffer: _Buffer, clip: Clip, tracks: list[tuple[str, int, NDArray
         samplers.append({"input": times, "output": buffer.add(values.astype(np.float32)), "interpolation": "LINEAR"})
         channels.append({"sampler": len(samplers) - 1, "target": {"node": node, "path": path}})
     return {"name": clip.text[:64] or "clip", "samplers": samplers, "channels": channels}
-
-
-def _container(document: dict[str, Any], binary: bytes) -> bytes:
-    """Assemble header, JSON chunk and binary chunk, each padded to four bytes."""
-    text = json.dumps(document, separators=(",", ":"), ensure_ascii=False).encode()
-    text += b" " * (-len(text) % 4)
-    chunks = struct.pack("<I4s", len(text), b"JSON") + text + struct.pack("<I4s", len(binary), b"BIN\0") + binary
-    return struct.pack("<4sII", b"glTF", 2, 12 + len(chunks)) + chunks

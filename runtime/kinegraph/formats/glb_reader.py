@@ -14,7 +14,8 @@ import numpy as np
 
 from kinegraph.arrays import Floats
 from kinegraph.errors import InvalidInputError
-from kinegraph.formats.glb import FLOAT, GENERATOR, ROOT_NODE
+from kinegraph.formats.glb import GENERATOR, ROOT_NODE
+from kinegraph.formats.gltf import FLOAT
 from kinegraph.formats.json import parse_seed
 from kinegraph.limits import MAX_READ_FRAMES
 from kinegraph.motion.kinematics import CHILDREN, RootMotion, forward_kinematics, join_root

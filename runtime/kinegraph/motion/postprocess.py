@@ -172,19 +172,35 @@ def two_bone_ik(hip: Floats, knee: Floats, ankle: Floats, goal: Floats) -> tuple
 
 
 def _toe_corrections(toe: Floats, fps: float) -> Floats:
-    """Compute the horizontal displacement (frames, 3) that locks a toe (frames, 3) in its contacts.
-
-    Beside a contact the correction s minimises sum |D^3 (toe + s)|^2 + (s / `METRES_PER_JERK`)^2, with D^3 the third
-    derivative: the path of least jerk (Flash & Hogan, 1985, Eq. 1), kept near the original one.
-    """
+    """Compute the horizontal displacement (frames, 3) that locks a toe (frames, 3) in its contacts."""
     contacts = find_contacts(toe, fps)
-    correction, free = np.zeros_like(toe), np.zeros(len(toe), dtype=bool)
-    ramp = max(1, round(RAMP_SECONDS * fps))
+    correction = np.zeros_like(toe)
     for start, end in contacts:
-        free[max(0, start - ramp) : end + ramp] = True
         to_median = (np.median(toe[start:end], axis=0) - toe[start:end]) * HORIZONTAL
         distance = np.maximum(np.linalg.norm(to_median, axis=-1), 1e-9)
         correction[start:end] = to_median * np.minimum(1.0, MAX_CORRECTION / distance)[:, None]
+    return ease_corrections(toe, correction, contacts, fps)
+
+
+def ease_corrections(toe: Floats, correction: Floats, contacts: list[tuple[int, int]], fps: float) -> Floats:
+    """Let the corrections of contacts come and go smoothly beside them.
+
+    Beside a contact the correction s minimises sum |D^3 (toe + s)|^2 + (s / `METRES_PER_JERK`)^2, with D^3 the third
+    derivative: the path of least jerk (Flash & Hogan, 1985, Eq. 1), kept near the original one.
+
+    Args:
+        toe: (frames, 3) metres.
+        correction: (frames, 3) metres, horizontal, set in the contacts.
+        contacts: half-open spans of frames.
+        fps: frames per second.
+
+    Returns:
+        (frames, 3) metres; in the contacts as it was.
+    """
+    correction, free = correction.copy(), np.zeros(len(toe), dtype=bool)
+    ramp = max(1, round(RAMP_SECONDS * fps))
+    for start, end in contacts:
+        free[max(0, start - ramp) : end + ramp] = True
     for start, end in contacts:
         free[start:end] = False
     for start, end in _true_spans(free):

@@ -5,11 +5,13 @@ Joints are (frames, 22, 3) metres with Y up. Every function returns a new array.
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 
-from kinegraph.arrays import FloatArray, Floats
-from kinegraph.motion.kinematics import forward_kinematics, rotations_from_positions
+from kinegraph.arrays import DoubleArray, FloatArray, Floats
+from kinegraph.motion.kinematics import SkeletonMotion, forward_kinematics, rotations_from_positions
 from kinegraph.motion.quaternions import about_axis, rotate, slerp
 from kinegraph.motion.skeleton import HORIZONTAL, facing_angle
 
@@ -29,22 +31,32 @@ def resample(joints: FloatArray, fps: float, new_fps: float, *, loops: bool = Fa
     Returns:
         (frames', 22, 3) float32 metres.
     """
-    # time of each new frame, in frames of the old rate
-    if loops:
-        time = np.linspace(0, len(joints) - 1, max(1, round((len(joints) - 1) * new_fps / fps)) + 1)
-    else:
-        count = max(1, round(len(joints) * new_fps / fps))
-        time = np.minimum(np.arange(count) * (fps / new_fps), len(joints) - 1)
-    before = np.minimum(time.astype(np.int64), max(0, len(joints) - 2))
-    after = np.minimum(before + 1, len(joints) - 1)
-    share = time - before
     motion = rotations_from_positions(joints, fps, loops=loops)
     solved = forward_kinematics(motion.rest_offsets, motion.root, motion.rotations)
     # interpolate the residual that rigid bones cannot follow and add it back, so that old frames stay as they are
+    before, after, share = _neighbours(len(joints), fps, new_fps, loops)
     residual = _lerp(joints - solved, before, after, share[:, None, None])
-    rotations = slerp(motion.rotations[before], motion.rotations[after], share[:, None])
-    root = _lerp(motion.root, before, after, share[:, None])
-    return (forward_kinematics(motion.rest_offsets, root, rotations) + residual).astype(np.float32)
+    between = resample_motion(motion, fps, new_fps, loops=loops)
+    return (forward_kinematics(between.rest_offsets, between.root, between.rotations) + residual).astype(np.float32)
+
+
+def resample_motion(motion: SkeletonMotion, fps: float, new_fps: float, *, loops: bool = False) -> SkeletonMotion:
+    """Resample a solved motion, as `resample` does for joints: slerp for rotations, linear interpolation for the root.
+
+    Args:
+        motion: at `fps` frames per second.
+        fps, new_fps, loops: see `resample`.
+
+    Returns:
+        The same skeleton at `new_fps`; its errors are interpolated, too.
+    """
+    before, after, share = _neighbours(len(motion.root), fps, new_fps, loops)
+    return replace(
+        motion,
+        root=_lerp(motion.root, before, after, share[:, None]),
+        rotations=slerp(motion.rotations[before], motion.rotations[after], share[:, None]),
+        error=_lerp(motion.error, before, after, share[:, None]),
+    )
 
 
 def in_place(joints: FloatArray, *, loops: bool = False) -> FloatArray:
@@ -67,6 +79,20 @@ def in_place(joints: FloatArray, *, loops: bool = False) -> FloatArray:
         pivot = still[:, :1] * HORIZONTAL
         still = rotate(about_axis(1, -drift)[:, None], still - pivot) + pivot
     return still.astype(np.float32)
+
+
+def _neighbours(
+    frames: int, fps: float, new_fps: float, loops: bool
+) -> tuple[NDArray[np.int64], NDArray[np.int64], DoubleArray]:
+    """Find the old frames before and after each new one, and the share of the latter."""
+    # time of each new frame, in frames of the old rate
+    if loops:
+        time = np.linspace(0, frames - 1, max(1, round((frames - 1) * new_fps / fps)) + 1)
+    else:
+        count = max(1, round(frames * new_fps / fps))
+        time = np.minimum(np.arange(count) * (fps / new_fps), frames - 1)
+    before = np.minimum(time.astype(np.int64), max(0, frames - 2))
+    return before, np.minimum(before + 1, frames - 1), time - before
 
 
 def _lerp(values: Floats, before: NDArray[np.int64], after: NDArray[np.int64], share: Floats) -> Floats:

@@ -98,7 +98,7 @@ class Playground:
         """
         clip_request, tab = parse_clip_request(parse_json(await request.body())), _tab(request)
         self._clip_queue.check_room(tab)
-        return _EventStream(self._events(clip_request, tab), media_type="application/x-ndjson")
+        return EventStream(self._events(clip_request, tab), media_type="application/x-ndjson")
 
     async def file(self, request: Request) -> Response:
         """Generate the clip of {wish, suffix, names} and answer with the file, as the command line writes it.
@@ -113,7 +113,7 @@ class Playground:
 
         async def make_in_turn() -> bytes:
             async with self._clip_queue.turn(_tab(request)):
-                return await _run_in_thread(make_file)
+                return await run_in_thread(make_file)
 
         data = await run_until_left(make_in_turn(), request.receive)
         return Response(data, media_type=FILES[wanted.suffix])
@@ -140,7 +140,7 @@ class Playground:
         events.put_nowait({"event": "queued", "ahead": self._clip_queue.ahead(tab)})
         try:
             async with self._clip_queue.turn(tab):
-                await _run_in_thread(lambda stop: GenerationJob(self._pipeline, clip_request, send, stop).run())
+                await run_in_thread(lambda stop: GenerationJob(self._pipeline, clip_request, send, stop).run())
         except KinegraphError as error:
             send({"event": "error", "message": str(error)})
         except asyncio.CancelledError:
@@ -152,7 +152,7 @@ class Playground:
             send(None)  # the same way as the events of the thread, and so behind them
 
 
-class _EventStream(StreamingResponse):
+class EventStream(StreamingResponse):
     """Stream that closes its iterator however it ends; by itself it may leave that to the garbage collector."""
 
     body_iterator: AsyncGenerator[str]
@@ -164,7 +164,7 @@ class _EventStream(StreamingResponse):
             await self.body_iterator.aclose()
 
 
-async def _run_in_thread(work: Callable[[threading.Event], T]) -> T:
+async def run_in_thread(work: Callable[[threading.Event], T]) -> T:
     """Run `work(stop)` in a thread; on cancellation set `stop` and wait until the thread has ended."""
     stop = threading.Event()
     task = asyncio.ensure_future(asyncio.to_thread(work, stop))

@@ -1,0 +1,364 @@
+"""Retargeting: a clip on the skeleton of a character, whatever its proportions, rest pose and joint orientations.
+
+Symbols, all in world space: R_b is the rotation of bone b at rest, W_j(t) the rotation of our joint j from our T-pose,
+and A_b the rotation that brings the character's resting bone onto ours. Then bone b has the rotation
+
+    W_j(t) A_b R_b,
+
+so it points where ours points, whatever R_b, the axes of the joint, may be. Rest poses are aligned from the pelvis
+outwards by shortest rotations. Between a bone and the next only the change D = W_j A_b matters: with D_p of the bone
+above and the rotation R_p of the parent node at rest, the local rotation is
+
+    R_p^-1 D_p^-1 D R_p  times the local rotation at rest.
+
+Nodes in between (twist joints) and beyond (fingers, hair) stay as they rest. Lengths are scaled by that of the legs;
+feet then get the height and the standstill of ours by two-bone inverse kinematics.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from kinegraph.arrays import Floats
+from kinegraph.errors import InvalidInputError
+from kinegraph.motion.humanoid import SIDES, Humanoid
+from kinegraph.motion.kinematics import SkeletonMotion
+from kinegraph.motion.postprocess import MAX_CORRECTION, MAX_EXTENSION, ease_corrections, find_contacts, two_bone_ik
+from kinegraph.motion.quaternions import (
+    IDENTITY,
+    about_axis,
+    conjugate,
+    continuous_signs,
+    from_matrix,
+    multiply,
+    normalised,
+    rotate,
+    shortest_rotation,
+    slerp,
+)
+from kinegraph.motion.rig import Rig
+from kinegraph.motion.skeleton import HORIZONTAL, JOINT_INDEX, JOINTS, PARENTS, PELVIS, facing_angle
+
+FLAT_FOOT: Final = normalised(np.array([0.0, -0.64, 0.77]))
+"""From ankle to toe of our body while the sole is flat on the floor (HumanML3D's bone lengths)."""
+UPRIGHT_NECK: Final = normalised(np.array([0.0, 0.99, 0.12]))
+"""From neck to head of our body while it looks straight ahead (mean of recorded clips)."""
+LOW: Final = 0.03
+"""Metres over the floor, of our body, up to which a toe is brought to the height of ours."""
+HIGH: Final = 0.13
+"""Metres from which it is left where it is."""
+NEAR_FLOOR: Final = 0.02
+"""Metres over which the weight of a foot in the height of the hips falls by e."""
+UPRIGHT: Final = float(np.cos(np.radians(30.0)))
+"""Cosine between body and +Y from which a rest pose counts as standing; others (Z up by mistake) are stood up."""
+
+SPINE: Final = tuple(JOINT_INDEX[name] for name in ("spine1", "spine2", "spine3"))
+NEXT: Final[dict[str, str]] = {"neck": "head"} | {
+    f"{side}_{joint}": f"{side}_{child}"
+    for side in SIDES
+    for joint, child in (
+        ("hip", "knee"), ("knee", "ankle"), ("collar", "shoulder"), ("shoulder", "elbow"), ("elbow", "wrist"),
+    )
+}  # fmt: skip
+"""Joint -> the next one; the bone between them points as ours does."""
+
+
+@dataclass(frozen=True, eq=False)
+class RigMotion:
+    """Tracks of the nodes that move; every other node stays as it is in the file."""
+
+    rotations: Mapping[int, Floats]
+    """Node -> (frames, 4) local quaternions w, x, y, z, with continuous signs."""
+    translations: Mapping[int, Floats]
+    """Node -> (frames, 3) local positions, in the units of the file."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Body:
+    """A character at rest in our frame: on y = 0, hips above the origin, facing +Z, with legs as long as ours."""
+
+    rig: Rig
+    bones: Mapping[str, int]
+    spine: tuple[int, ...]
+    points: Floats
+    """(nodes, 3) metres of ours."""
+    stand: Floats
+    """(4,) rotation from the file's world into our frame."""
+    face: Floats
+    """(4,) rotation about +Y from ours to where the character faces."""
+    scale: float
+    """Units of the file per metre of ours."""
+    origin: Floats
+    """(3,) point of the file's floor below the hips."""
+
+
+def retarget(
+    rig: Rig, humanoid: Humanoid, floor: float, motion: SkeletonMotion, fps: float, root: int | None = None
+) -> RigMotion:
+    """Compute the tracks of a character for a clip.
+
+    Args:
+        rig: nodes of the character at rest.
+        humanoid: which of them follow our joints.
+        floor: height of the soles at rest, in the units of the file.
+        motion: of our skeleton.
+        fps: its frames per second.
+        root: node above the pelvis that is to carry travel and heading; None lets the pelvis carry them.
+
+    Returns:
+        Local rotations of all nodes that follow a joint, and the position of the pelvis; with `root` also its tracks.
+
+    Raises:
+        InvalidInputError: the character's legs have no length.
+    """
+    body = _measure(rig, humanoid, floor, motion.rest_offsets)
+    turned, ours = _world_motion(motion)
+    changes = _changes(body, turned, motion.rest_offsets)
+    pelvis = _place(body, changes, ours, fps)
+    return _tracks(body, changes, pelvis, ours, root)
+
+
+def _measure(rig: Rig, humanoid: Humanoid, floor: float, offsets: Floats) -> _Body:
+    """Bring a resting character into our frame."""
+    bones = humanoid.bones
+    stand, face, upright = _body_frame(rig.positions, bones)
+    points = rotate(stand, rig.positions)
+    hips = [bones[f"{side}_hip"] for side in SIDES]
+    legs = [np.diff(points[[bones[f"{side}_{joint}"] for joint in ("hip", "knee", "ankle")]], axis=0) for side in SIDES]
+    leg = float(np.linalg.norm(legs, axis=-1).sum() / 2)
+    if not np.isfinite(points).all() or leg < 1e-9:
+        raise InvalidInputError("its legs have no length: hip, knee and ankle are in one place")
+    scale = leg / float(np.linalg.norm(offsets[[4, 7, 5, 8]], axis=-1).sum() / 2)
+    below = points[hips].mean(axis=0) * HORIZONTAL
+    below[1] = floor if upright else points[list(bones.values()), 1].min()
+    origin = rig.positions[hips].mean(axis=0) * HORIZONTAL + (0.0, floor, 0.0)
+    return _Body(rig, bones, humanoid.spine, (points - below) / scale, stand, face, scale, origin)
+
+
+def _body_frame(points: Floats, bones: Mapping[str, int]) -> tuple[Floats, Floats, bool]:
+    """Find the rotation into our frame, the heading at rest, and whether the character stands upright."""
+    left, right = (
+        np.sum([points[bones[f"{side}_{joint}"]] for joint in ("hip", "shoulder")], axis=0) for side in SIDES
+    )
+    top = points[bones["head" if "head" in bones else "neck"]]
+    up = normalised(top - points[[bones[f"{side}_ankle"] for side in SIDES]].mean(axis=0))
+    upright = bool(up[1] > UPRIGHT)
+    up = np.array([0.0, 1.0, 0.0]) if upright else up
+    across = left - right
+    x = normalised(across - (across @ up) * up)
+    z = np.cross(x, up)
+    heading = about_axis(1, np.asarray(np.arctan2(z[0], z[2]) if upright else 0.0))
+    return from_matrix(np.stack([x, up, z])), heading, upright
+
+
+def _world_motion(motion: SkeletonMotion) -> tuple[Floats, Floats]:
+    """Compute rotations (22, frames, 4) from the T-pose in the world, and joints (frames, 22, 3) in metres."""
+    turned = np.ascontiguousarray(np.moveaxis(motion.rotations, 1, 0))
+    joints = np.zeros((len(motion.root), JOINTS, 3))
+    joints[:, PELVIS] = motion.root
+    for joint in range(1, JOINTS):
+        parent = PARENTS[joint]
+        joints[:, joint] = joints[:, parent] + rotate(turned[parent], motion.rest_offsets[joint])
+        turned[joint] = multiply(turned[parent], turned[joint])
+    return turned, joints
+
+
+def _changes(body: _Body, turned: Floats, offsets: Floats) -> dict[int, Floats]:
+    """Compute the change W A of every node that follows a joint: node -> (frames, 4), parents first."""
+    names = {node: name for name, node in body.bones.items() if not name.endswith(("_wrist", "_foot"))}
+    spine = _spine(body, turned, offsets)
+    aligned: dict[int, Floats] = {}
+    changes: dict[int, Floats] = {}
+    for node in body.rig.order:
+        if node not in names and node not in spine:
+            continue
+        above = next((a for a in body.rig.ancestors(body.rig.parents[node]) if a in aligned), None)
+        start = np.array(IDENTITY) if above is None else aligned[above]
+        if node in spine:
+            end, direction, turn = spine[node]
+            aligned[node] = _align(start, end - body.points[node], direction)
+            changes[node] = multiply(turn, aligned[node])
+            continue
+        name = names[node]
+        joint = JOINT_INDEX[name]
+        if name.endswith("_ankle"):
+            aligned[node] = _align_foot(body, name, offsets)
+        elif name in NEXT and NEXT[name] in body.bones:
+            bone = body.points[body.bones[NEXT[name]]] - body.points[node]
+            aligned[node] = _align(start, bone, offsets[JOINT_INDEX[NEXT[name]]])
+        elif name in ("neck", "head"):
+            aligned[node] = shortest_rotation(UPRIGHT_NECK, offsets[JOINT_INDEX["head"]])
+            joint = JOINT_INDEX["neck"]
+        else:
+            aligned[node] = start
+        changes[node] = multiply(turned[joint], aligned[node])
+    return changes
+
+
+def _align(start: Floats, bone: Floats, ours: Floats) -> Floats:
+    """Turn a resting bone that `start` has turned already on to the direction of ours, the shortest way."""
+    return multiply(shortest_rotation(rotate(start, bone), ours), start)
+
+
+def _align_foot(body: _Body, ankle: str, offsets: Floats) -> Floats:
+    """Align a foot by its heading only: a sole that rests flat is flat where ours is, however high the ankle."""
+    toe = ankle.replace("ankle", "foot")
+    ahead = np.array([0.0, 0.0, 1.0])
+    if toe in body.bones:
+        ahead = (body.points[body.bones[toe]] - body.points[body.bones[ankle]]) * HORIZONTAL
+    rest = offsets[JOINT_INDEX[toe]]
+    return multiply(shortest_rotation(FLAT_FOOT, rest), shortest_rotation(ahead, rest * HORIZONTAL))
+
+
+def _spine(body: _Body, turned: Floats, offsets: Floats) -> dict[int, tuple[Floats, Floats, Floats]]:
+    """Spread our three joints of the spine over the character's.
+
+    Returns:
+        Node -> end of its bone (3,), direction of ours (3,) at rest, rotation of ours (frames, 4). The last node, the
+        chest, follows ours; the others lie at equal steps from spine1 on.
+    """
+    bones = [offsets[JOINT_INDEX[name]] for name in ("spine2", "spine3", "neck")]
+    count = len(body.spine)
+    ends = [*body.spine[1:], body.bones["neck" if "neck" in body.bones else "head"]]
+    spread: dict[int, tuple[Floats, Floats, Floats]] = {}
+    for index, node in enumerate(body.spine):
+        place = 2.0 * index / (count - 1) if count > 1 else 2.0
+        low = min(int(place), 1)
+        share = place - low
+        direction = (1 - share) * normalised(bones[low]) + share * normalised(bones[low + 1])
+        lower, upper = turned[SPINE[low]], turned[SPINE[low + 1]]
+        turn = lower if share == 0 else upper if share == 1 else slerp(lower, upper, np.full(len(lower), share))
+        spread[node] = body.points[ends[index]], direction, turn
+    return spread
+
+
+def _place(body: _Body, changes: dict[int, Floats], ours: Floats, fps: float) -> Floats:
+    """Place the pelvis (frames, 3) and bend the legs, so that feet are as high as ours and stand as ours do.
+
+    Hips go with ours; then they move by what the feet near the floor miss, which keeps the legs' directions. What one
+    leg still misses is left to two-bone inverse kinematics. Changes of the legs are replaced.
+    """
+    bones, points = body.bones, body.points
+    pelvis = bones["pelvis"]
+    hips = [bones[f"{side}_hip"] for side in SIDES]
+    middle = points[hips].mean(axis=0)
+    root = ours[:, [JOINT_INDEX[f"{side}_hip"] for side in SIDES]].mean(axis=1)
+    feet = [_Foot(body, changes, side, middle, ours, fps) for side in SIDES]
+    weights = np.exp(-np.stack([foot.height for foot in feet]) / NEAR_FLOOR)[..., None]
+    missed = np.stack([foot.correction(root, fps) for foot in feet])
+    root = root + (weights * missed).sum(axis=0) / weights.sum(axis=0)
+    root[:, 1] -= np.max([foot.out_of_reach(root, fps) for foot in feet], axis=0)
+    for foot in feet:
+        foot.plant(root, changes, fps)
+    return np.asarray(root + rotate(changes[pelvis], points[pelvis] - middle))
+
+
+class _Foot:
+    """A leg of the character, from the middle of the hips, with directions like ours; and where its toe should be."""
+
+    def __init__(
+        self, body: _Body, changes: Mapping[int, Floats], side: str, middle: Floats, ours: Floats, fps: float
+    ) -> None:
+        bones, points = body.bones, body.points
+        self.nodes = hip, knee, ankle = tuple(bones[f"{side}_{joint}"] for joint in ("hip", "knee", "ankle"))
+        toe = self._toe_at_rest(body, side, ours)
+        self.hip = rotate(changes[bones["pelvis"]], points[hip] - middle)
+        self.knee = self.hip + rotate(changes[hip], points[knee] - points[hip])
+        self.ankle = self.knee + rotate(changes[knee], points[ankle] - points[knee])
+        self.toe = self.ankle + rotate(changes[ankle], toe - points[ankle])
+        self.our_toe = ours[:, JOINT_INDEX[f"{side}_foot"]]
+        self.height = np.maximum(self.our_toe[:, 1], 0.0)
+        # smoothstep from HIGH to LOW
+        share = np.clip((HIGH - self.height) / (HIGH - LOW), 0.0, 1.0)
+        self.lowness = share**2 * (3 - 2 * share)
+        self.goal_height = self.height + toe[1]
+        self.contacts = find_contacts(self.our_toe, fps)
+
+    @staticmethod
+    def _toe_at_rest(body: _Body, side: str, ours: Floats) -> Floats:
+        """Locate the toe; that of a character without is on the floor, as far ahead as ours."""
+        if f"{side}_foot" in body.bones:
+            return np.asarray(body.points[body.bones[f"{side}_foot"]])
+        foot = ours[0, JOINT_INDEX[f"{side}_foot"]] - ours[0, JOINT_INDEX[f"{side}_ankle"]]
+        ankle = body.points[body.bones[f"{side}_ankle"]]
+        return np.asarray(ankle * HORIZONTAL + (0.0, 0.0, FLAT_FOOT[2] * np.linalg.norm(foot)))
+
+    def correction(self, root: Floats, fps: float) -> Floats:
+        """Compute what brings the toe to the height of ours, and makes it move as ours does while that is planted.
+
+        Args:
+            root: (frames, 3) the middle of the hips.
+            fps: frames per second.
+
+        Returns:
+            (frames, 3) metres.
+        """
+        toe = root + self.toe
+        horizontal = np.zeros_like(toe)
+        for start, end in self.contacts:
+            apart = (toe - self.our_toe)[start:end] * HORIZONTAL
+            back = np.median(apart, axis=0) - apart
+            distance = np.maximum(np.linalg.norm(back, axis=-1, keepdims=True), 1e-9)
+            horizontal[start:end] = back * np.minimum(1.0, MAX_CORRECTION / distance)
+        correction = ease_corrections(toe, horizontal, self.contacts, fps)
+        correction[:, 1] = self.lowness * (self.goal_height - toe[:, 1])
+        return correction
+
+    def out_of_reach(self, root: Floats, fps: float) -> Floats:
+        """Compute the metres (frames,) by which the corrected toe is too far away for the leg."""
+        leg = np.linalg.norm(self.knee - self.hip, axis=-1) + np.linalg.norm(self.ankle - self.knee, axis=-1)
+        now = np.linalg.norm(self.ankle - self.hip, axis=-1)
+        wanted = np.linalg.norm(self.ankle + self.correction(root, fps) - self.hip, axis=-1)
+        return np.asarray(self.lowness * np.maximum(wanted - np.maximum(now, MAX_EXTENSION * leg), 0.0))
+
+    def plant(self, root: Floats, changes: dict[int, Floats], fps: float) -> None:
+        """Bend the leg so that the toe is corrected; the foot keeps its direction."""
+        hip, knee, ankle = root + self.hip, root + self.knee, root + self.ankle
+        new_knee, new_ankle = two_bone_ik(hip, knee, ankle, ankle + self.correction(root, fps))
+        upper, lower, _ = self.nodes
+        changes[upper] = multiply(shortest_rotation(knee - hip, new_knee - hip), changes[upper])
+        changes[lower] = multiply(shortest_rotation(ankle - knee, new_ankle - new_knee), changes[lower])
+
+
+def _tracks(body: _Body, changes: Mapping[int, Floats], pelvis: Floats, ours: Floats, root: int | None) -> RigMotion:
+    """Turn changes in our frame into local rotations and positions of nodes."""
+    rig, first = body.rig, body.bones["pelvis"]
+    steps: dict[int, Floats] = {}
+    for node, change in changes.items():
+        above = next((a for a in rig.ancestors(rig.parents[node]) if a in changes), None)
+        steps[node] = multiply(body.face, change) if above is None else multiply(conjugate(changes[above]), change)
+    # world changes are face C stand; `face` drops out between two bones
+    stand = np.stack([np.array(IDENTITY) if node == first else conjugate(body.stand) for node in steps])
+    turned = multiply(multiply(stand[:, None], np.stack(list(steps.values()))), body.stand)
+    steps = dict(zip(steps, turned, strict=True))
+    at = body.origin + rotate(body.face, pelvis * body.scale)
+    translations: dict[int, Floats] = {}
+    if root is not None:
+        # the root carries rigidly what is below it: x -> turn (x - origin) + origin + travel
+        heading = about_axis(1, facing_angle(ours).astype(np.float64))
+        turn = multiply(multiply(body.face, heading), conjugate(body.face))
+        travel = rotate(body.face, ours[:, PELVIS] * HORIZONTAL * body.scale)
+        start = rig.positions[root] - body.origin
+        translations[root] = _into(rig, rig.parents[root], body.origin + travel + rotate(turn, start))
+        steps[root] = turn
+        at = body.origin + rotate(conjugate(turn), at - body.origin - travel)
+        steps[first] = multiply(conjugate(turn), steps[first])
+    translations[first] = _into(rig, rig.parents[first], at)
+    above_all = np.stack([rig.orientation(rig.parents[node]) for node in steps])[:, None]
+    rest = rig.rotations[list(steps)][:, None]
+    step = np.stack(list(steps.values()))
+    local = normalised(multiply(multiply(multiply(conjugate(above_all), step), above_all), rest))
+    local = continuous_signs(np.moveaxis(local, 0, 1))
+    return RigMotion({node: local[:, index] for index, node in enumerate(steps)}, translations)
+
+
+def _into(rig: Rig, parent: int, points: Floats) -> Floats:
+    """Express points (frames, 3) of the world in the frame of a resting node; -1 is the world."""
+    if parent < 0:
+        return points
+    matrix = rig.world[parent]
+    return np.asarray(np.linalg.solve(matrix[:3, :3], (points - matrix[:3, 3]).T).T)
