@@ -14,7 +14,7 @@ import pytest
 
 import kinegraph
 from kinegraph.bundle.contract import contracts
-from kinegraph.bundle.reader import DEFAULT_BUNDLE
+from kinegraph.bundle.reader import text_files_folder
 from kinegraph.bundle.verify import verify_bundle
 from kinegraph.errors import BundleFormatError
 from support.synthetic_bundle import LEVEL_SPECS, bundle_files, field, filler_model, node, write_bundle
@@ -157,7 +157,7 @@ def test_a_parser_takes_weights_from_its_file_and_nothing_else(toy_bundle: Path)
     srsly = pytest.importorskip("srsly")
     from kinegraph.text.dependency import load_pipeline
 
-    data = (DEFAULT_BUNDLE / "parser.bin").read_bytes()
+    data = (text_files_folder() / "parser.bin").read_bytes()
     content = srsly.msgpack_loads(data)
     content["config.cfg"] = '[nlp]\nlang = "en"\nbatch_size = 77\n'
     content["meta"] = {"lang": "en", "name": "somebody-else", "version": "6.6.6"}

@@ -10,19 +10,23 @@ import pytest
 
 from kinegraph import BundleIntegrityError, MotionPipeline
 from kinegraph.bundle.manifest import optional_graph_files
-from kinegraph.bundle.reader import DEFAULT_BUNDLE, MANIFEST, read_bundle
+from kinegraph.bundle.reader import DEFAULT_BUNDLE, MANIFEST, read_bundle, read_manifest, text_files_folder
 from kinegraph.bundle.verify import verify_bundle
 from support.opened_paths import opened_paths
 from support.synthetic_bundle import bundle_files
 
 FILES = sorted(bundle_files())
-REAL_FILES = sorted(path.name for path in DEFAULT_BUNDLE.iterdir())
+REAL_FILES = sorted((MANIFEST, *read_manifest(DEFAULT_BUNDLE).files))
 
 
 @pytest.fixture(scope="module")
 def real(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A copy of the default bundle; tests put back what they change."""
-    return shutil.copytree(DEFAULT_BUNDLE, tmp_path_factory.mktemp("real") / "bundle")
+    """A copy of the default bundle in one folder; tests put back what they change."""
+    folder = shutil.copytree(DEFAULT_BUNDLE, tmp_path_factory.mktemp("real") / "bundle")
+    for name in REAL_FILES:  # those that installed bundles share lie beside it
+        if not (folder / name).is_file():
+            shutil.copy(text_files_folder() / name, folder / name)
+    return folder
 
 
 def read_whole(folder: Path) -> None:

@@ -12,12 +12,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-import kinegraph
+from kinegraph.bundle.reader import text_files_folder
 from support.shared import shared_path
 
 ROOT = Path(__file__).resolve().parents[2]
 TABLE = ROOT / "training" / "kinegraph_training" / "synthetic" / "actions.toml"
-PARSER = Path(kinegraph.__file__).parent / "bundles" / "default" / "parser.bin"
+PARSER = text_files_folder() / "parser.bin"
 SIDES = (("left", "right"), ("right", "left"))
 FIELDS = {"finite", "participle", "noun", "parts", "steady", "aliases"}
 SUBJECT = re.compile(r"^((a|the) \w+|someone|somebody|he|she) ")

@@ -28,7 +28,7 @@ from kinegraph.bundle.manifest import (
     describe_file,
 )
 from kinegraph.bundle.onnx_inspect import summarise
-from kinegraph.bundle.reader import DEFAULT_BUNDLE
+from kinegraph.bundle.reader import text_files_folder
 from kinegraph.bundle.tables import EMPTY_CAPTION
 from kinegraph.errors import InvalidInputError, OutputError
 from kinegraph.graph import ROLES
@@ -102,7 +102,7 @@ def read_parser(bundle: Path | None) -> dict[str, bytes]:
     Raises:
         InvalidInputError: it has no parser.
     """
-    folder = DEFAULT_BUNDLE if bundle is None else bundle
+    folder = text_files_folder() if bundle is None else bundle
     files = {name: (folder / name).read_bytes() for name in PARSER_FILES if (folder / name).is_file()}
     if PARSER_FILES[0] not in files:
         raise InvalidInputError(f"{folder} has no {PARSER_FILES[0]}; name a bundle with a parser (--parser)")
