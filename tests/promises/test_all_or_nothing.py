@@ -139,7 +139,7 @@ def test_word_pieces_that_the_text_encoder_does_not_know_are_an_error(pipe: Moti
 def test_a_motion_that_explodes_is_an_error(toy: MotionPipeline) -> None:
     """Infinity that no single model produced: finite noise predictions that outgrow float32 in a step."""
     with pytest.raises(NonFiniteError, match=r"step \d of level action"), np.errstate(over="ignore", invalid="ignore"):
-        CALLS["generate"](with_run(toy, "step", injecting(3e38, 0)))
+        CALLS["generate"](with_run(toy, "denoiser", injecting(3e38, 0)))
 
 
 # Stopping
@@ -161,7 +161,7 @@ def step_runs(pipe: MotionPipeline, counter: list[int]) -> MotionPipeline:
         counter[0] += 1
         return inner.run(names, inputs)
 
-    return with_run(pipe, "step", run)
+    return with_run(pipe, "denoiser", run)
 
 
 @pytest.mark.parametrize("way", WAYS)
@@ -213,7 +213,7 @@ def test_a_timeout_holds_for_real(toy: MotionPipeline) -> None:
 
     start = time.monotonic()
     with pytest.raises(TimedOut):
-        with_run(toy, "step", slow).generate(GRAPH, seconds=1, seed=1, steps=100, timeout=0.2)
+        with_run(toy, "denoiser", slow).generate(GRAPH, seconds=1, seed=1, steps=100, timeout=0.2)
     assert time.monotonic() - start < 4
 
 

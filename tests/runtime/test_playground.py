@@ -162,7 +162,7 @@ def test_who_leaves_a_file_stops_its_clip(
     started, stopped = threading.Event(), threading.Event()
     generate = pipe.generate
 
-    def watched(*arguments: Any, **options: Any) -> Any:
+    def watched(_: MotionPipeline, *arguments: Any, **options: Any) -> Any:
         started.set()
         try:
             return generate(*arguments, **options)
@@ -170,7 +170,7 @@ def test_who_leaves_a_file_stops_its_clip(
             stopped.set()
             raise
 
-    monkeypatch.setattr(pipe, "generate", watched)
+    monkeypatch.setattr(MotionPipeline, "generate", watched)
     body = json.dumps({"wish": LONG, "suffix": ".npz"}).encode()
     head = f"POST /api/file HTTP/1.1\r\nHost: 127.0.0.1:{server.port}\r\nContent-Type: application/json\r\n"
     request = f"{head}Content-Length: {len(body)}\r\n\r\n".encode() + body
@@ -195,7 +195,7 @@ def test_a_clip_that_fails_is_told_in_the_stream_and_for_a_file(
 ) -> None:
     """A session's error has a type and a message; one that nobody foresaw is logged, and the client is told so."""
 
-    def fail(*_: Any) -> Any:
+    def fail(*_: Any, **__: Any) -> Any:
         raise error
 
     class Failing:
@@ -203,7 +203,7 @@ def test_a_clip_that_fails_is_told_in_the_stream_and_for_a_file(
 
     pipeline = toy.with_sessions(replace(toy.sampler.sessions, decoder=Failing()))
     if said == UNEXPECTED:
-        monkeypatch.setattr(pipeline, "generate", fail)
+        monkeypatch.setattr(MotionPipeline, "generate", fail)
     with running_playground(pipeline) as server:
         *others, last = server.clip(REQUEST)
         assert last["event"] == "error" and said in last["message"] and "clip" not in [each["event"] for each in others]
