@@ -1,6 +1,6 @@
 """Copy measured figures into the card that a bundle is exported with, and so into `kinegraph info`.
 
-    python -m kinegraph_benchmarks.update_card --results results --card export/default_card.json
+    python -m kinegraph_benchmarks.update_card --results results --card export/studio_card.json
 
 Reads evaluate.json, reconstruction.json, behaviour.json, masked_verbs.json and lengths.json of a folder and replaces
 the card's "quality". All five must be there and come from the same bundle.

@@ -3,7 +3,7 @@
 A bundle holds all weights but those of the encoders, which `--vaes` gives. The run can be trained further or exported
 anew (in another precision, with further graphs) if its checkpoints are gone.
 
-    python -m kinegraph_export.recover --bundle BUNDLE --preset edge --vaes weights/edge --run runs/recovered \
+    python -m kinegraph_export.recover --bundle BUNDLE --preset studio --vaes weights/studio --run runs/recovered \
         --data DATA --held-out PAIRS
 
 The exporter moves, transposes and renames weights. To find where each one went, modules of the same shape are exported

@@ -450,7 +450,7 @@ class MotionPipeline:
             method: "latent" adds predictions (Eq. 7, 8), "semantic" averages attention (Eq. 9), "fused" blends both
                 with the joint text (Eq. 10) and takes away what is negated (Eq. 8).
             text: the joint text of "fused"; None joins the positive concepts with "while".
-            lambdas: of "fused": shares of latent, semantic and joint text; default (0, 0.1, 0.9).
+            lambdas: of "fused": shares of latent, semantic and joint text; default (0.2, 0.1, 0.7).
             agd: step sizes (gamma_attn, gamma_reg) of adaptive gradient descent (Eq. 3, 4), each 0 to 1: EnergyMoGen
                 has (0.0004, 0.0004) for several concepts and (0.001, 0.002) for one sentence of several; the default
                 bundle does best with (0.1, 0.1). None is off.

@@ -52,8 +52,8 @@ def test_figures_are_those_measured() -> None:
     assert quality["behaviour_at_any_length"] == 0.95 and quality["unseen_pairs_verbs_masked_direction"] == 0.75
 
 
-def test_the_default_card_has_these_names() -> None:
-    names = set(json.loads((ROOT / "export" / "default_card.json").read_text(encoding="utf-8"))["quality"])
+def test_the_card_has_these_names() -> None:
+    names = set(json.loads((ROOT / "export" / "studio_card.json").read_text(encoding="utf-8"))["quality"])
     assert names <= set(update_card.card_quality(results()))
 
 

@@ -110,7 +110,7 @@ def requests(draw: st.DrawFn) -> tuple[str, list[Any], dict[str, Any]]:
         options["shared_run"] = st.booleans() | ANYTHING
     if call == "compose":
         options |= {
-            "lambdas": st.tuples(NUMBERS, NUMBERS, NUMBERS) | st.just((0, 0.1, 0.9)),
+            "lambdas": st.tuples(NUMBERS, NUMBERS, NUMBERS) | st.just((0.2, 0.1, 0.7)),
             "agd": st.just((0.1, 0.1)),
         }
         options |= {"method": st.sampled_from(["latent", "semantic", "fused", "other"])}

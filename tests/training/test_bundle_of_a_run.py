@@ -37,7 +37,7 @@ from kinegraph_training.models.vae import ENCODER_PARTS
 from support.toy_run import ASSETS
 from support.tracing import Traces, traced_once
 
-WEIGHTS = Path(__file__).parents[2] / "weights" / "edge"
+WEIGHTS = Path(__file__).parents[2] / "weights" / "studio"
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(600)]
 
 CARD = BundleCard(
@@ -57,7 +57,7 @@ CARD = BundleCard(
 
 @pytest.fixture(scope="module")
 def encoders(trained: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Folder of the encoders alone, as `weights/edge` holds them."""
+    """Folder of the encoders alone, as `weights/studio` holds them."""
     folder = tmp_path_factory.mktemp("encoders")
     for level in LEVELS:
         store_encoder(trained / "run" / f"vae_{level}" / "last.ckpt", folder / f"vae_{level}.ckpt")

@@ -16,7 +16,7 @@ from kinegraph_training.config import read_preset
 from kinegraph_training.models.vae import ENCODER_PARTS, VaeConfig
 from kinegraph_training.train_vae import MOTION_TERMS, VaeModule
 
-WEIGHTS = Path(__file__).parents[2] / "weights" / "edge"
+WEIGHTS = Path(__file__).parents[2] / "weights" / "studio"
 
 
 def module(seed: int) -> VaeModule:

@@ -34,7 +34,7 @@ MANIFEST: Final = "manifest.json"
 
 BUNDLES: Final = Path(__file__).parents[1] / "bundles"
 """Folder of the bundles that are installed with the package."""
-DEFAULT_NAME: Final = "default"
+DEFAULT_NAME: Final = "studio"
 DEFAULT_BUNDLE: Final = BUNDLES / DEFAULT_NAME
 """Installed bundle that is loaded where none is named."""
 SHARED: Final = "shared"
