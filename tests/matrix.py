@@ -73,7 +73,7 @@ def build(row: Row, folder: Path) -> Path:
     if not python.exists():
         subprocess.run([row.python, "-m", "venv", str(folder)], check=True)
         extras = PROJECT["optional-dependencies"]
-        needs = [*PROJECT["dependencies"], *extras["text"], *extras["play"], *TESTING]
+        needs = [*PROJECT["dependencies"], *extras["text"], *extras["play"]]
         if row.is_lowest:
             needs = [re.sub(r">=([\d.]+).*", r"==\1", need) for need in needs]
         install = [python, "-m", "pip", "install", "-q", "--disable-pip-version-check"]
@@ -90,7 +90,17 @@ def run_tests(python: Path, tests: list[str], *, is_short: bool) -> tuple[int, s
     """Run the tests; returns pytest's exit code and its last line."""
     paths = [f"tests/{test}" for test in tests]
     path = os.pathsep.join(str(ROOT / part) for part in ("runtime", "tests", "benchmarks"))
-    command = [python, "-m", "pytest", "-p", "no:cacheprovider", "-p", "no:randomly", "-rfE", *paths]
+    command = [
+        python,
+        "-m",
+        "pytest",
+        "-o",
+        f"cache_dir={python.parent.parent / '.pytest_cache'}",
+        "-p",
+        "no:randomly",
+        "-rfE",
+        *paths,
+    ]
     environment = {**os.environ, "PYTHONPATH": path, "PYTHONDONTWRITEBYTECODE": "1"}
     done = subprocess.run([*command, "--promises=short"], cwd=ROOT, env=environment, capture_output=True, text=True)
     output = done.stdout

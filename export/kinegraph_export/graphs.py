@@ -141,7 +141,7 @@ def random_inputs(contract: GraphContract, frames_per_token: int, *, distinct: b
         if "M" in size:
             size["M"] = size["R"] if distinct else int(rng.choice([1, size["R"]]))
         coarse = [spec.axes[1] for spec in contract.inputs if spec.name == "coarse"]
-        if coarse:
+        if coarse and "N" in size:
             # The context tokens are the nodes, then those of the coarser latent.
             size["S"] = size["N"] + int(coarse[0])
         if "L" in size:

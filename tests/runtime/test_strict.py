@@ -14,6 +14,7 @@ import pytest
 from kinegraph import Concept, MotionPipeline, UnknownWordsError, cli
 from kinegraph.bundle.reader import read_bundle
 from kinegraph.bundle.vocabulary import FILE, pack_vocabulary, read_vocabulary, sentences_to_embed
+from kinegraph.cli.arguments import SHOWN_ACTIONS
 from kinegraph.clip import Clip
 from kinegraph.denoising import LatentSampler
 from kinegraph.errors import InvalidInputError
@@ -227,6 +228,9 @@ def test_the_help_of_generate_lists_what_the_default_bundle_knows(capsys: pytest
         cli.main(["generate", "--help"])
     assert time.perf_counter() - start < 0.15
     shown = " ".join(capsys.readouterr().out.split())
-    for kind in ("action", "style"):
-        phrases = [phrase.wordings[0] for phrase in known.facts.phrases if phrase.kind == kind]
-        assert f" {', '.join(phrases)}" in shown
+    actions, styles = (
+        [phrase.wordings[0] for phrase in known.facts.phrases if phrase.kind == kind] for kind in ("action", "style")
+    )
+    assert f"knows {len(actions)} actions" in shown
+    assert f" {', '.join(actions[:SHOWN_ACTIONS])}" in shown
+    assert f" {', '.join(styles)}" in shown
