@@ -168,7 +168,7 @@ def test_any_request_gives_a_motion_or_a_typed_error(
 
     with bounded(1e9):
         check()
-    assert min(outcomes.values()) > 10
+    assert min(outcomes.values()) > sum(outcomes.values()) / 100  # both kinds were tried
     figure(f"any request: {outcomes['motion']} motions, {outcomes['error']} typed errors, nothing else")
 
 

@@ -15,6 +15,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+pytest.importorskip("torch")
+
 from kinegraph.errors import InvalidInputError, OutputError
 from kinegraph.limits import MAX_FRAMES
 from kinegraph.motion.skeleton import JOINT_NAMES, canonicalise
