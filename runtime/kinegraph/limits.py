@@ -28,7 +28,7 @@ MAX_SHARED: Final = 32
 MAX_PARTS: Final = 256
 """Sentences of one sequence."""
 
-MAX_ROWS: Final = 64
+MAX_ROWS: Final = 48
 """Graphs whose noise predictions make up one clip: concepts, joint text, and those of weighted edges."""
 
 MAX_CONCEPTS: Final = 8

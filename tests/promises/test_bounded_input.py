@@ -354,12 +354,12 @@ def crowd(actions: int, weighted: int = 0, negated: int = 0) -> SemanticGraph:
 LARGEST: dict[str, Callable[[MotionPipeline], object]] = {
     "one graph of weights": lambda pipe: pipe.generate(crowd(31, weighted=31), seconds=9.8, seed=1),
     "one graph of negations": lambda pipe: pipe.generate(crowd(31, negated=30), seconds=9.8, seed=1),
-    "64 graphs": lambda pipe: pipe.compose([Concept(crowd(31, weighted=31))] * 2, method="latent", seconds=9.8, seed=1),
-    "64 graphs, gradient descent": lambda pipe: pipe.compose(
-        [Concept(crowd(7, weighted=7))] * MAX_CONCEPTS, method="semantic", agd=(0.1, 0.1), seconds=9.8, seed=1
+    "48 graphs": lambda pipe: pipe.compose([Concept(crowd(23, weighted=23))] * 2, method="latent", seconds=9.8, seed=1),
+    "48 graphs, gradient descent": lambda pipe: pipe.compose(
+        [Concept(crowd(5, weighted=5))] * MAX_CONCEPTS, method="semantic", agd=(0.1, 0.1), seconds=9.8, seed=1
     ),
     "8 fused concepts, gradient descent": lambda pipe: pipe.compose(
-        [Concept(crowd(6, weighted=6))] * MAX_CONCEPTS, text=GRAPH, lambdas=(0.3, 0.3, 0.4), agd=(0.1, 0.1), seconds=9.8
+        [Concept(crowd(4, weighted=4))] * MAX_CONCEPTS, text=GRAPH, lambdas=(0.3, 0.3, 0.4), agd=(0.1, 0.1), seconds=9.8
     ),
     "64 clips in shared runs": lambda pipe: pipe.batch([crowd(31)] * MAX_TAKES, shared_run=True, seconds=9.8, seed=1),
     "64 takes": lambda pipe: pipe.takes(crowd(31), MAX_TAKES, seconds=9.8, seed=1),
@@ -377,7 +377,7 @@ SECONDS_PER_CLIP = 0.2
 def test_the_largest_requests_stay_within_limits(
     name: str, pipe: MotionPipeline, is_long: bool, figure: Callable[[str], None]
 ) -> None:
-    if not is_long and name not in ("64 graphs", "one graph of weights"):
+    if not is_long and name not in ("48 graphs", "one graph of weights"):
         pytest.skip("in the long form: --promises=long")
     if pipe.sampler.sessions.denoiser_agd:
         pipe.compose([GRAPH, GRAPH], agd=(0.1, 0.1), **FEW)  # its sessions are opened once
