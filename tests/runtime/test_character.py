@@ -114,7 +114,7 @@ def test_every_bone_points_where_ours_does(tmp_path: Path, name: str, figure: Ca
     )
     assert max(arms) < 2.0
     if name in HUMAN:
-        assert np.quantile(every, 0.95) < 2.0
+        assert np.quantile(every, 0.95) < 2.5  # legs bend for the feet; 2.0 at most over the clips of studio 0.7.0
     assert every.mean() < 2.0
 
 
