@@ -26,7 +26,7 @@ from kinegraph.bundle.sessions import run_model
 from kinegraph.conditioning import Conditions
 from kinegraph.denoising import LatentSampler, OnLatent, sample_hierarchy
 from kinegraph.diffusion.composition import CompositionWeights
-from kinegraph.diffusion.sampling import DdimCoefficients, OnStep, PredictNoise, initial_noise
+from kinegraph.diffusion.sampling import DdimCoefficients, OnStep, PredictNoise
 from kinegraph.errors import InvalidInputError
 from kinegraph.options import GenerateOptions
 from kinegraph.slot_conditioning import SlotConditions
@@ -76,9 +76,7 @@ class ConcatSampler(LatentSampler):
         on_latent: OnLatent | None = None,
     ) -> FloatArray:
         """Sample latents of the finest level, (B, C, z); see `LatentSampler.sample`."""
-        levels = self.level_plans(options[0])
-        noise_of_samples = [initial_noise(sample.seed, levels) for sample in options]
-        noise = [np.stack(level) for level in zip(*noise_of_samples, strict=True)]
+        noise = self.initial_noise(options)
         halves = self.sample_halves(conditions, weights, options, noise, on_step, on_latent)
         return halves[-1][len(options) :]
 

@@ -137,10 +137,9 @@ class LatentSampler:
         Raises:
             Cancelled, NonFiniteError: see `sample_hierarchy`.
         """
-        levels = self.level_plans(options[0])
-        noise_of_samples = [initial_noise(sample.seed, levels) for sample in options]
-        noise = [np.stack(level) for level in zip(*noise_of_samples, strict=True)]
+        noise = self.initial_noise(options)
         make_predictor = partial(self.predictor, conditions, weights, options)
+        levels = self.level_plans(options[0])
         return sample_hierarchy(levels, noise, make_predictor, self.schedule, on_step, on_latent)[-1]
 
     def predictor(
@@ -169,6 +168,12 @@ class LatentSampler:
     def schedule(self) -> NoiseSchedule:
         """The noise schedule of all levels."""
         return self.manifest.schedule.noise
+
+    def initial_noise(self, options: Sequence[GenerateOptions]) -> list[FloatArray]:
+        """Draw z_T (B, C, z) of every level, each sample from its own seed."""
+        levels = self.level_plans(options[0])
+        noise_of_samples = [initial_noise(sample.seed, levels) for sample in options]
+        return [np.stack(level) for level in zip(*noise_of_samples, strict=True)]
 
     def level_plans(self, options: GenerateOptions) -> list[LevelPlan]:
         """List the levels with the steps that a call wants, coarse to fine."""

@@ -10,7 +10,6 @@ which licence, so that a model can say what it was made from.
 from __future__ import annotations
 
 import argparse
-import re
 import sys
 from collections import Counter, defaultdict
 from collections.abc import Iterable, Mapping, Sequence
@@ -19,7 +18,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from kinegraph.errors import InvalidInputError, KinegraphError
-from kinegraph_training.data.clips import AT_ONCE, IN_ORDER, MotionClip, read_jsonl, read_split, start_at_origin
+from kinegraph_training.data.clips import IN_ORDER, MotionClip, read_jsonl, read_split, split_label, start_at_origin
 from kinegraph_training.data.common_skeleton import rest_directions, to_common_skeleton
 from kinegraph_training.data.folder import pack_clips, to_json_lines, write_files
 from kinegraph_training.synthetic.action_table import ActionTable, read_action_table
@@ -87,11 +86,10 @@ def convert(source: SourceClip, rests: dict[int, Any], table: ActionTable) -> So
     """Bring a clip to the common skeleton, and its label to the names of the action table."""
     joints = start_at_origin(to_common_skeleton(source.clip.joints, rests))
     label = next((str(source.row[key]) for key in LABEL_KEYS if source.row.get(key)), "")
-    separator = IN_ORDER if IN_ORDER in label else AT_ONCE
     # A label that the table does not know, such as one of several activities, says no more than the captions do.
-    names = tuple(table.canonical(part) for part in re.split(f"[{AT_ONCE}{IN_ORDER}]", label)) if label else ()
+    names = tuple(table.canonical(part) for part in split_label(label))
     actions = tuple(name for name in names if name is not None) if None not in names else ()
-    clip = replace(source.clip, joints=joints, actions=actions, in_order=separator == IN_ORDER and len(actions) > 1)
+    clip = replace(source.clip, joints=joints, actions=actions, in_order=IN_ORDER in label and len(actions) > 1)
     return replace(source, clip=clip)
 
 

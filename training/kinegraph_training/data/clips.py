@@ -52,7 +52,7 @@ class MotionClip:
     partial_captions: tuple[str, ...] = ()
     """Sentences, each of a part of what the clip shows: one of several actions at once."""
     made_by: str = ""
-    """What made it, of `dataset.SHARES`; "" where it was recorded."""
+    """What made it, a key of `DataConfig.draws`; "" where it was recorded."""
 
     @property
     def action(self) -> str:
@@ -72,6 +72,11 @@ def _opposite(match: re.Match[str]) -> str:
     if word.isupper():
         return other.upper()
     return other.capitalize() if word[0].isupper() else other
+
+
+def split_label(label: str) -> tuple[str, ...]:
+    """Split the label of several actions; a clip without a label has none."""
+    return tuple(re.split(f"[{AT_ONCE}{IN_ORDER}]", label)) if label else ()
 
 
 def start_at_origin(joints: FloatArray) -> FloatArray:
@@ -138,7 +143,7 @@ def read_split(folder: Path, split: str) -> list[MotionClip]:
                 id=name,
                 joints=joints,
                 captions=tuple(captions[name]["captions"]),
-                actions=tuple(re.split(f"[{AT_ONCE}{IN_ORDER}]", label)) if label else (),
+                actions=split_label(label),
                 style=row.get("style_canon", ""),
                 in_order=IN_ORDER in label,
                 steps=row.get("attr", {}).get("steps"),

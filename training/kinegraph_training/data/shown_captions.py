@@ -7,7 +7,6 @@ recorded ones.
 from __future__ import annotations
 
 import json
-import re
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,13 +14,12 @@ from typing import Final
 
 from kinegraph.errors import InvalidInputError
 from kinegraph_training.data.clips import (
-    AT_ONCE,
-    IN_ORDER,
     MIRRORED,
     MotionClip,
     mirrored_caption,
     mirrored_label,
     read_jsonl,
+    split_label,
 )
 
 FILE: Final = "captions.jsonl"
@@ -96,7 +94,7 @@ def read_data_captions(folder: Path) -> list[ShownCaptions]:
             continue
         texts = tuple(captions.get(name, {}).get("captions", ()))
         label = row.get("content", "")
-        actions = tuple(re.split(f"[{AT_ONCE}{IN_ORDER}]", label)) if label else ()
+        actions = split_label(label)
         clip = ShownCaptions(texts, actions, row.get("style_canon", ""), recorded=True)
         shown += [clip, _mirrored(clip)]
     if not shown:
