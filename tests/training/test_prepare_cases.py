@@ -1,6 +1,8 @@
 """What befell people's files: each kind is read right, or refused with the reason and the cure.
 
 The files of ../shared/cases, where they are, are read too.
+
+Above 500 lines because every kind of file that people bring is a case here, each with its own input.
 """
 
 from __future__ import annotations
