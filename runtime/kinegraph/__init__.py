@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Final
 if TYPE_CHECKING:
     from kinegraph.clip import Clip
     from kinegraph.concepts import Concept
+    from kinegraph.constraints import EndPose, JointTarget, Keyframe, Loop, Miss, Path, StartPose, Waypoint
     from kinegraph.diffusion.sampling import StepInfo
     from kinegraph.errors import (
         BundleError,
@@ -50,19 +51,27 @@ _MODULES: Final[dict[str, str]] = {
     "Cancelled": "kinegraph.errors",
     "Clip": "kinegraph.clip",
     "Concept": "kinegraph.concepts",
+    "EndPose": "kinegraph.constraints",
     "InvalidGraphError": "kinegraph.errors",
     "InvalidInputError": "kinegraph.errors",
+    "JointTarget": "kinegraph.constraints",
+    "Keyframe": "kinegraph.constraints",
     "KinegraphError": "kinegraph.errors",
+    "Loop": "kinegraph.constraints",
+    "Miss": "kinegraph.constraints",
     "MissingExtraError": "kinegraph.errors",
     "ModelError": "kinegraph.errors",
     "MotionPipeline": "kinegraph.pipeline",
     "NonFiniteError": "kinegraph.errors",
     "OutputError": "kinegraph.errors",
+    "Path": "kinegraph.constraints",
     "SemanticGraph": "kinegraph.graph",
+    "StartPose": "kinegraph.constraints",
     "StepInfo": "kinegraph.diffusion.sampling",
     "TimedOut": "kinegraph.errors",
     "Unknown": "kinegraph.unknown",
     "UnknownWordsError": "kinegraph.errors",
+    "Waypoint": "kinegraph.constraints",
 }
 
 __all__ = [
@@ -72,19 +81,27 @@ __all__ = [
     "Cancelled",
     "Clip",
     "Concept",
+    "EndPose",
     "InvalidGraphError",
     "InvalidInputError",
+    "JointTarget",
+    "Keyframe",
     "KinegraphError",
+    "Loop",
+    "Miss",
     "MissingExtraError",
     "ModelError",
     "MotionPipeline",
     "NonFiniteError",
     "OutputError",
+    "Path",
     "SemanticGraph",
+    "StartPose",
     "StepInfo",
     "TimedOut",
     "Unknown",
     "UnknownWordsError",
+    "Waypoint",
 ]
 
 

@@ -33,3 +33,21 @@ MAX_ROWS: Final = 48
 
 MAX_CONCEPTS: Final = 8
 """Concepts of one composition."""
+
+MAX_CONSTRAINTS: Final = 256
+"""Constraints of one clip."""
+
+MAX_KEYFRAMES: Final = 64
+"""Whole poses among them."""
+
+MAX_PATH_POINTS: Final = 1000
+"""Points of one path."""
+
+MAX_POSE_FRAMES: Final = 40
+"""Frames of a start or end pose."""
+
+MAX_METRES: Final = 1000.0
+"""Farthest place that a constraint names, along each axis."""
+
+MAX_WEIGHT: Final = 100.0
+"""Largest weight of a constraint."""
