@@ -14,7 +14,7 @@ from kinegraph.motion.humanml3d import humanml3d_from_joints, joints_from_humanm
 from kinegraph.motion.skeleton import JOINT_INDEX, canonicalise
 from kinegraph_training.data.clips import read_split
 from kinegraph_training.data.common_skeleton import BONE_LENGTHS
-from kinegraph_training.data.humanml3d_reader import _KIT, HUMANML3D, from_kit, read_parts
+from kinegraph_training.data.humanml3d_reader import _KIT, HUMANML3D, from_kit, read_stretches
 from kinegraph_training.prepare import main
 from support.motions import walk
 
@@ -63,6 +63,9 @@ def test_clips_keep_their_splits_captions_and_motion(humanml3d: Path, tmp_path: 
     assert set(clips) == {n for whole in ("000000", "000001", "000002", "M000001") for n in (whole, f"{whole}@2-5")}
     assert clips["000000"].captions == ("a person walks forward", "someone walks ahead.")
     assert clips["000000@2-5"].captions == ("then the person turns", "a figure turns")
+    # what happens within a clip is true of it, without being all of it
+    assert clips["000000"].partial_captions == ("then the person turns", "a figure turns", "too short to tell")
+    assert clips["000000@2-5"].partial_captions == ()
     assert len(clips["000000@2-5"].joints) == 60
     original = canonicalise(walk(120, turning=0.01))
     np.testing.assert_allclose(clips["000001"].joints, original, atol=2e-4)
@@ -111,7 +114,7 @@ def test_lines_that_break_the_format(tmp_path: Path, line: str, reason: str) -> 
     path = tmp_path / "x.txt"
     path.write_text(f"{line}\n")
     with pytest.raises(ValueError, match=reason):
-        read_parts(path)
+        read_stretches(path)
 
 
 def test_folders_of_something_else(tmp_path: Path, humanml3d: Path, capsys: pytest.CaptureFixture[str]) -> None:

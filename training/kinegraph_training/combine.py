@@ -99,7 +99,11 @@ def write_combined(out: Path, clips: Sequence[SourceClip]) -> None:
         f"{split}.npz": pack_clips([(each.clip.id, each.clip.joints) for each in clips if each.split == split], 20)
         for split in sorted({each.split for each in clips})
     }
-    captions = [{"id": each.clip.id, "split": each.split, "captions": list(each.clip.captions)} for each in clips]
+    captions = [
+        {"id": each.clip.id, "split": each.split, "captions": list(each.clip.captions)}
+        | ({"partial_captions": list(each.clip.partial_captions)} if each.clip.partial_captions else {})
+        for each in clips
+    ]
     files["captions.jsonl"] = to_json_lines(captions)
     files["index.jsonl"] = to_json_lines([index_row(clip) for clip in clips])
     write_files(out, files)

@@ -6,7 +6,8 @@ Every clip is brought to the 22 joints, metres, 20 frames per second and Y up, w
 origin and facing +Z; up, left and right and the unit are found from the body. Long recordings are cut into windows. The
 split of a recording depends on its name alone, so that it stays when others are added.
 
-Published data sets come by `--humanml3d FOLDER` or `--kit FOLDER` instead (`kinegraph_training.prepare_published`).
+Published data sets come by `--humanml3d FOLDER`, `--kit FOLDER`, `--bones-seed FOLDER` or `--amass FOLDER` instead
+(`kinegraph_training.prepare_published`).
 """
 
 from __future__ import annotations
@@ -340,7 +341,7 @@ def _parser() -> argparse.ArgumentParser:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line; returns 2 on bad input, with the reason on stderr."""
     given = sys.argv[1:] if arguments is None else arguments
-    if any(argument.partition("=")[0] in prepare_published.SETS for argument in given):
+    if any(argument.partition("=")[0] in prepare_published.READERS for argument in given):
         return prepare_published.main(arguments)
     parser = _parser()
     parsed = parser.parse_args(arguments)

@@ -151,12 +151,16 @@ def sample_bvh(motion: BvhMotion, times: Floats) -> BvhMotion:
 
 
 def read_recording(path: Path) -> Recording:
-    """Read a BVH file as a recording; its rest pose is that of the OFFSETs.
+    """Read a BVH file as a recording.
 
     Raises:
         InvalidInputError: see `read_bvh`.
     """
-    motion = read_bvh(path)
+    return recording_of(read_bvh(path))
+
+
+def recording_of(motion: BvhMotion) -> Recording:
+    """Make a recording of the motion of a file; its rest pose is that of the OFFSETs."""
     rest = replace(
         motion,
         positions=np.array([[bone.offset for bone in motion.bones]]),

@@ -1,26 +1,33 @@
 """Clips of motion with their captions and labels, read from a data folder, and their mirror images.
 
 A data folder holds, per split, `<split>.npz` (ids, offsets, joints, root_xz, scale, fps), and `captions.jsonl` and
-`index.jsonl` with one line per clip. `kinegraph_training.prepare` writes such a folder from BVH files.
+`index.jsonl` with one line per clip. `kinegraph_training.prepare` writes such a folder from BVH files, and one with
+shards in place of the .npz from published data sets (`data.shards`).
 """
 
 from __future__ import annotations
 
 import json
 import re
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, overload
 
 import numpy as np
+from numpy.typing import NDArray
 
 from kinegraph.arrays import FloatArray
 from kinegraph.errors import InvalidInputError
 from kinegraph.motion.skeleton import HORIZONTAL, PELVIS, facing_angle, mirrored
+from kinegraph_training.data.folder import STEP_METRES
 
 AT_ONCE: Final = "+"
 IN_ORDER: Final = ">"
 """Join the labels of several actions in index.jsonl and in the names of compositions."""
+
+SHARDS: Final = "shards"
+"""Folder of the shards in a data folder (`data.shards`)."""
 
 MIRRORED: Final = "~mirror"
 """End of the id of a mirror image."""
@@ -114,11 +121,13 @@ def read_jsonl(path: Path) -> dict[str, dict[str, Any]]:
 
 
 def read_split(folder: Path, split: str) -> list[MotionClip]:
-    """Read all clips of a split, except those that index.jsonl marks as not `clean`.
+    """Read all clips of a split into memory, except those that index.jsonl marks as not `clean`.
 
     Raises:
         InvalidInputError: a file is missing, or a clip has no caption.
     """
+    if is_sharded(folder):
+        return list(StoredClips.of_split(folder, split))
     path = folder / f"{split}.npz"
     if not path.is_file():
         names = sorted(file.stem for file in folder.glob("*.npz"))
@@ -129,26 +138,115 @@ def read_split(folder: Path, split: str) -> list[MotionClip]:
         packed, root, offsets = pack["joints"], pack["root_xz"], pack["offsets"]
         scale, ids = float(pack["scale"]), [str(name) for name in pack["ids"]]
     for name, start, end in zip(ids, offsets[:-1], offsets[1:], strict=True):
-        if not captions.get(name, {}).get("captions"):
+        texts, row = captions.get(name, {}), index.get(name, {})
+        if not texts.get("captions"):
             raise InvalidInputError(f"clip {name!r} of {path} has no caption in captions.jsonl")
-        row = index.get(name, {})
-        if not row.get("clean", True):
-            continue
-        joints = packed[start:end].astype(np.float32) * np.float32(scale)
-        joints[..., 0] += root[start:end, None, 0]
-        joints[..., 2] += root[start:end, None, 1]
-        label = row.get("content", "")
-        clips.append(
-            MotionClip(
-                id=name,
-                joints=joints,
-                captions=tuple(captions[name]["captions"]),
-                actions=split_label(label),
-                style=row.get("style_canon", ""),
-                in_order=IN_ORDER in label,
-                steps=row.get("attr", {}).get("steps"),
-                # where a recording was cut says nothing of how long its action takes
-                any_length="start" in row,
-            )
-        )
+        if row.get("clean", True):
+            clips.append(clip_of_rows(name, unpack_joints(packed[start:end], root[start:end], scale), texts, row))
     return clips
+
+
+def unpack_joints(packed: NDArray[np.int16], root: FloatArray, scale: float) -> FloatArray:
+    """Return the joints (frames, 22, 3) in metres of 16-bit ones, relative to the pelvis on the floor (frames, 2)."""
+    joints = packed.astype(np.float32) * np.float32(scale)
+    joints[..., 0] += root[:, None, 0]
+    joints[..., 2] += root[:, None, 1]
+    return joints
+
+
+def clip_of_rows(name: str, joints: FloatArray, texts: Mapping[str, Any], row: Mapping[str, Any]) -> MotionClip:
+    """Make a clip of its joints (frames, 22, 3) and its rows in captions.jsonl and index.jsonl."""
+    label = row.get("content", "")
+    return MotionClip(
+        id=name,
+        joints=joints,
+        captions=tuple(texts["captions"]),
+        actions=split_label(label),
+        style=row.get("style_canon", ""),
+        in_order=IN_ORDER in label,
+        steps=row.get("attr", {}).get("steps"),
+        # where a recording was cut says nothing of how long its action takes
+        any_length="start" in row,
+        partial_captions=tuple(texts.get("partial_captions", ())),
+    )
+
+
+def is_sharded(folder: Path) -> bool:
+    """Tell whether a data folder holds its motion in shards (`data.shards`) instead of a file for each split."""
+    return (folder / SHARDS).is_dir()
+
+
+@dataclass(frozen=True)
+class StoredClips(Sequence[MotionClip]):
+    """Clips of a split in shards. The motion of a clip is read from the memory-mapped shard when it is asked for.
+
+    Nothing that was read is kept: 300 hours take the memory of their captions.
+    """
+
+    folder: Path
+    rows: tuple[tuple[bytes, bytes], ...]
+    """Lines of index.jsonl and captions.jsonl, by clip."""
+    frames: NDArray[np.int64]
+    """(clips,)."""
+    mirrored: NDArray[np.bool_]
+    """(clips,) whether a clip is the mirror image of the one stored."""
+
+    @classmethod
+    def of_split(cls, folder: Path, split: str, *, shortest: int = 0) -> StoredClips:
+        """List the clips of a split that index.jsonl does not mark as not `clean`.
+
+        Args:
+            folder: data folder.
+            split: its name.
+            shortest: frames; shorter clips are left out.
+
+        Raises:
+            InvalidInputError: a file is missing, or a clip has no caption.
+        """
+        texts = {json.loads(line)["id"]: line for line in _lines(folder / "captions.jsonl")}
+        rows, frames = [], []
+        for line in _lines(folder / "index.jsonl"):
+            row = json.loads(line)
+            if row["split"] != split or not row.get("clean", True) or row["frames"] < shortest:
+                continue
+            if row["id"] not in texts:
+                raise InvalidInputError(f"clip {row['id']!r} of {folder} has no caption in captions.jsonl")
+            rows.append((line, texts[row["id"]]))
+            frames.append(row["frames"])
+        return cls(folder, tuple(rows), np.array(frames, dtype=np.int64), np.zeros(len(rows), dtype=bool))
+
+    def select(self, indices: NDArray[np.int64]) -> StoredClips:
+        """Return some of the clips, in the order of `indices`."""
+        rows = tuple(self.rows[index] for index in indices)
+        return StoredClips(self.folder, rows, self.frames[indices], self.mirrored[indices])
+
+    def with_mirror_images(self) -> StoredClips:
+        """Return the clips, and behind them the mirror image of each."""
+        frames, mirrored_ones = np.tile(self.frames, 2), np.concatenate([self.mirrored, ~self.mirrored])
+        return StoredClips(self.folder, self.rows * 2, frames, mirrored_ones)
+
+    def __len__(self) -> int:
+        return len(self.rows)
+
+    @overload
+    def __getitem__(self, index: int) -> MotionClip: ...
+    @overload
+    def __getitem__(self, index: slice) -> StoredClips: ...
+    def __getitem__(self, index: int | slice) -> MotionClip | StoredClips:
+        if isinstance(index, slice):
+            return self.select(np.arange(len(self))[index])
+        row, texts = (json.loads(line) for line in self.rows[index])
+        span = slice(row["first"], row["first"] + row["frames"])
+        shard = self.folder / SHARDS / f"{row['shard']:05d}"
+        packed = np.load(f"{shard}.joints.npy", mmap_mode="r", allow_pickle=False)[span]
+        root = np.load(f"{shard}.root.npy", mmap_mode="r", allow_pickle=False)[span]
+        clip = clip_of_rows(row["id"], unpack_joints(packed, root, STEP_METRES), texts, row)
+        return mirrored_clip(clip) if self.mirrored[index] else clip
+
+
+def _lines(path: Path) -> Iterator[bytes]:
+    """Yield the lines of a file that hold something."""
+    if not path.is_file():
+        raise InvalidInputError(f"{path} is missing; the conversion was stopped, give the same command again")
+    with path.open("rb") as file:
+        yield from (line for line in file if line.strip())

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from kinegraph.arrays import FloatArray
 from kinegraph.errors import OutputError
@@ -41,6 +42,8 @@ class PreparedClip:
     style: str = ""
     start: float | None = None
     """Seconds from the start of the recording, for a window of a long one."""
+    partial_captions: tuple[str, ...] = ()
+    """Sentences, each of a part of what the clip shows."""
 
 
 def assign_splits(ids: Sequence[str], *, val: float, test: float) -> dict[str, str]:
@@ -80,10 +83,8 @@ def write_data(out: Path, clips: Sequence[PreparedClip], fps: float) -> None:
         f"{split}.npz": pack_clips([(clip.id, clip.joints) for clip in clips if clip.split == split], fps)
         for split in SPLITS
     }
-    files["captions.jsonl"] = to_json_lines(
-        [{"id": clip.id, "split": clip.split, "captions": list(clip.captions)} for clip in clips]
-    )
-    files["index.jsonl"] = to_json_lines([_index_row(clip, fps) for clip in clips])
+    files["captions.jsonl"] = to_json_lines([caption_row(clip) for clip in clips])
+    files["index.jsonl"] = to_json_lines([index_row(clip, fps) for clip in clips])
     write_files(out, files)
 
 
@@ -134,7 +135,13 @@ def _replace(stage: Path, out: Path, names: Sequence[str]) -> None:
         shutil.rmtree(old, ignore_errors=True)
 
 
-def _index_row(clip: PreparedClip, fps: float) -> dict[str, Any]:
+def caption_row(clip: PreparedClip) -> dict[str, Any]:
+    """Return the line of a clip in captions.jsonl."""
+    row: dict[str, Any] = {"id": clip.id, "split": clip.split, "captions": list(clip.captions)}
+    return {**row, "partial_captions": list(clip.partial_captions)} if clip.partial_captions else row
+
+
+def index_row(clip: PreparedClip, fps: float) -> dict[str, Any]:
     """Return the line of a clip in index.jsonl."""
     row: dict[str, Any] = {
         "id": clip.id,
@@ -155,10 +162,8 @@ def pack_clips(clips: Sequence[tuple[str, FloatArray]], fps: float) -> bytes:
     """
     packed, roots = [np.zeros((0, JOINTS, 3), dtype=np.int16)], [np.zeros((0, 2), dtype=np.float32)]
     for _, clip in clips:
-        joints = clip.astype(np.float64)
-        root = joints[:, PELVIS, [0, 2]].astype(np.float32)
-        joints[..., [0, 2]] -= root[:, None].astype(np.float64)
-        packed.append(np.round(joints / STEP_METRES).astype(np.int16))
+        joints, root = pack_joints(clip)
+        packed.append(joints)
         roots.append(root)
     buffer = io.BytesIO()
     np.savez_compressed(
@@ -171,6 +176,14 @@ def pack_clips(clips: Sequence[tuple[str, FloatArray]], fps: float) -> bytes:
         fps=np.int32(fps) if fps == int(fps) else np.float32(fps),
     )
     return buffer.getvalue()
+
+
+def pack_joints(clip: FloatArray) -> tuple[NDArray[np.int16], NDArray[np.float32]]:
+    """Pack joints (frames, 22, 3): 16-bit ones relative to the pelvis on the floor, and the pelvis (frames, 2)."""
+    joints = clip.astype(np.float64)
+    root = joints[:, PELVIS, [0, 2]].astype(np.float32)
+    joints[..., [0, 2]] -= root[:, None].astype(np.float64)
+    return np.round(joints / STEP_METRES).astype(np.int16), root
 
 
 def to_json_lines(rows: Sequence[Mapping[str, Any]]) -> bytes:

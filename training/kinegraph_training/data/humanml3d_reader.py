@@ -6,14 +6,15 @@
     train.txt, val.txt, test.txt
 
 A line whose times are not 0 tells of a part of the clip; the part becomes a clip of its own, with the captions of the
-same times. HumanML3D is in metres with our 22 joints at 20 frames per second. KIT-ML has 21 joints in units of its own
-at 12.5; it is scaled to the leg of our common body, mapped to our joints and resampled.
+same times; those of parts that lie in a clip are its partial captions. HumanML3D is in metres with our 22 joints at 20
+frames per second. KIT-ML has 21 joints in units of its own at 12.5; it is scaled to the leg of our common body, mapped
+to our joints and resampled.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
@@ -28,6 +29,7 @@ from kinegraph.motion.resampling import resample
 from kinegraph.motion.skeleton import JOINT_INDEX, JOINTS, canonicalise
 from kinegraph_training.data.common_skeleton import BONE_LENGTHS
 from kinegraph_training.data.folder import SPLITS, PreparedClip
+from kinegraph_training.data.timeline import Stretch, captions_within
 
 FPS: Final = 20.0
 """Of prepared clips."""
@@ -60,16 +62,6 @@ class PublishedSet:
     """(frames, joints, 3) -> (frames, 22, 3) metres at `FPS`."""
 
 
-@dataclass(frozen=True)
-class Part:
-    """Captions of one stretch of a clip."""
-
-    start: float
-    end: float
-    """Seconds; both 0 for the whole clip."""
-    captions: tuple[str, ...]
-
-
 def from_kit(joints: FloatArray) -> FloatArray:
     """Map joints of KIT-ML (frames, 21, 3) to ours (frames, 22, 3) in metres at `FPS`."""
     ours = np.stack([joints[:, _KIT[name]].mean(axis=1) for name in JOINT_INDEX], axis=1)
@@ -83,6 +75,8 @@ def from_kit(joints: FloatArray) -> FloatArray:
 
 HUMANML3D: Final = PublishedSet("HumanML3D", "--humanml3d", 263, JOINTS, FPS, 40, lambda joints: joints)
 KIT: Final = PublishedSet("KIT-ML", "--kit", 251, 21, 12.5, 24, from_kit)
+SETS: Final[dict[str, PublishedSet]] = {data.option: data for data in (HUMANML3D, KIT)}
+"""Option of the command line -> data set."""
 
 
 def read_names(folder: Path) -> dict[str, str]:
@@ -112,7 +106,7 @@ def read_names(folder: Path) -> dict[str, str]:
     return splits
 
 
-def read_parts(path: Path) -> list[Part]:
+def read_stretches(path: Path) -> list[Stretch]:
     """Read the captions of a clip, those of the same times together.
 
     Raises:
@@ -142,7 +136,7 @@ def read_parts(path: Path) -> list[Part]:
         captions.setdefault((start, end), []).append(caption)
     if not captions:
         raise InvalidInputError(f"{path} holds no captions")
-    return [Part(*times, tuple(dict.fromkeys(texts))) for times, texts in captions.items()]
+    return [Stretch(*times, tuple(dict.fromkeys(texts))) for times, texts in captions.items()]
 
 
 def read_motion(folder: Path, name: str, data: PublishedSet) -> FloatArray:
@@ -169,61 +163,45 @@ def read_motion(folder: Path, name: str, data: PublishedSet) -> FloatArray:
     return array if path == joints else joints_from_humanml3d(array, data.joints)
 
 
-def read_clips(folder: Path, data: PublishedSet, name: str, split: str) -> Iterator[PreparedClip]:
-    """Read a clip and the parts of it that have captions of their own; those of unusual length are left out.
+def find_clips(folder: Path, data: PublishedSet) -> list[tuple[str, str]]:
+    """List the clips of a data set, as name and split.
 
     Raises:
-        InvalidInputError: see `read_motion` and `read_parts`.
-    """
-    parts = read_parts(folder / "texts" / f"{name}.txt")
-    motion = read_motion(folder, name, data)
-    for part in parts:
-        is_whole = part.end == 0.0
-        first, last = int(part.start * data.fps), len(motion) if is_whole else int(part.end * data.fps)
-        cut = motion[first:last]
-        if not data.shortest <= len(cut) < LONGEST * data.fps:
-            continue
-        joints = canonicalise(data.to_ours(cut))
-        clip_id = name if is_whole else f"{name}@{part.start:g}-{part.end:g}"
-        yield PreparedClip(clip_id, joints, part.captions, f"new_joints/{name}.npy", split)
-
-
-def read_published(
-    folder: Path,
-    data: PublishedSet,
-    *,
-    skip_broken: bool = False,
-    progress: Callable[[Sequence[str]], Iterator[str]] = iter,
-) -> tuple[list[PreparedClip], list[str]]:
-    """Read a whole data set.
-
-    Args:
-        folder: of the data set.
-        data: which it is.
-        skip_broken: leave out clips that cannot be used, instead of refusing all.
-        progress: wraps the names, to show how far reading is.
-
-    Returns:
-        Its clips, and what is wrong with those that were left out.
-
-    Raises:
-        InvalidInputError: lists are missing; or clips cannot be used, and `skip_broken` is not set.
+        InvalidInputError: no folder, or lists are missing.
     """
     if not folder.is_dir():
         raise InvalidInputError(f"{folder} is no folder; {data.option} names that of {data.name}")
-    splits = read_names(folder)
-    clips: list[PreparedClip] = []
-    problems: list[str] = []
-    for name in progress(list(splits)):
-        try:
-            clips += read_clips(folder, data, name, splits[name])
-        except InvalidInputError as error:
-            problems.append(str(error))
-    if problems and (not skip_broken or not clips):
-        listed = "\n".join(problems[:10])
-        raise InvalidInputError(
-            f"{len(problems)} of {len(splits)} clips cannot be used (--skip-broken leaves them out):\n{listed}"
+    return list(read_names(folder).items())
+
+
+def read_clips(folder: Path, option: str, clip: tuple[str, str]) -> list[PreparedClip]:
+    """Read a clip and the parts of it that have captions of their own; those of unusual length are left out.
+
+    Args:
+        folder: of the data set.
+        option: key of `SETS`.
+        clip: name and split.
+
+    Raises:
+        InvalidInputError: see `read_motion` and `read_stretches`.
+    """
+    data, (name, split) = SETS[option], clip
+    stretches = read_stretches(folder / "texts" / f"{name}.txt")
+    motion = read_motion(folder, name, data)
+    clips = []
+    for stretch in stretches:
+        first = int(stretch.start * data.fps)
+        last = len(motion) if stretch.is_whole else min(int(stretch.end * data.fps), len(motion))
+        if not data.shortest <= last - first < LONGEST * data.fps:
+            continue
+        clips.append(
+            PreparedClip(
+                id=name if stretch.is_whole else f"{name}@{stretch.start:g}-{stretch.end:g}",
+                joints=canonicalise(data.to_ours(motion[first:last])),
+                captions=stretch.captions,
+                source_file=f"new_joints/{name}.npy",
+                split=split,
+                partial_captions=captions_within(first / data.fps, last / data.fps, stretches, stretch.captions),
+            )
         )
-    if not clips:
-        raise InvalidInputError(f"{folder} has no clip of {data.shortest / data.fps:g} to {LONGEST:g} seconds")
-    return clips, problems
+    return clips

@@ -64,6 +64,8 @@ class Understood:
     names: str
     """Naming convention of the joints."""
     warnings: tuple[str, ...]
+    start: float = 0.0
+    """Seconds cut at the start of the file: a pose before the motion."""
 
     @property
     def unit(self) -> str:
@@ -113,6 +115,7 @@ def understand(recording: Recording, stated: Stated, fps: float) -> Understood:
         scale=scale,
         names=joint_map.convention,
         warnings=(*warnings, *filter(None, (warning, doubt))),
+        start=start / recording.fps,
     )
 
 
