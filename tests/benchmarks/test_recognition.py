@@ -8,10 +8,11 @@ from typing import Any
 import numpy as np
 import pytest
 
+from kinegraph.motion.skeleton import start_at_origin
 from kinegraph_benchmarks.common.label_classifier import LabelClassifier
 from kinegraph_benchmarks.quality import recognition
 from kinegraph_benchmarks.quality.recognition import Captured
-from kinegraph_training.data.clips import MotionClip, start_at_origin
+from kinegraph_training.data.clips import MotionClip
 from kinegraph_training.data.common_skeleton import rest_directions, to_common_skeleton
 from kinegraph_training.data.folder import PreparedClip, write_data
 from support.motions import t_pose, walk

@@ -16,7 +16,6 @@ from kinegraph_training.data.common_skeleton import (
     _RESTS,
     BONE_LENGTHS,
     rest_directions,
-    shortest_rotation,
     to_common_skeleton,
     trunk_frames,
 )
@@ -64,18 +63,6 @@ def test_rests_are_mirror_images_and_the_frames_are_rotations() -> None:
     assert set(_RESTS) == set(rests)
 
 
-def test_the_shortest_rotation_leads_from_one_vector_to_the_other() -> None:
-    rng = np.random.default_rng(0)
-    for _ in range(20):
-        source, target = (vector / np.linalg.norm(vector) for vector in rng.standard_normal((2, 3)))
-        rotation = shortest_rotation(source, target)
-        np.testing.assert_allclose(rotation @ source, target, atol=1e-9)
-        np.testing.assert_allclose(rotation @ rotation.T, np.eye(3), atol=1e-9)
-        axis = np.cross(source, target)
-        np.testing.assert_allclose(rotation @ axis, axis, atol=1e-9)  # no turn about the vector itself
-
-
-@pytest.mark.parametrize("name", ["bandai", "open"])
 def test_real_feet_do_not_slide_more_than_before(name: str) -> None:
     clips = [clip.joints for clip in read_split(shared_path("data", name), "val")][:40]
     rests = rest_directions(clips)

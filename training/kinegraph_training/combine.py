@@ -18,7 +18,8 @@ from pathlib import Path
 from typing import Any, Final
 
 from kinegraph.errors import InvalidInputError, KinegraphError
-from kinegraph_training.data.clips import IN_ORDER, MotionClip, read_jsonl, read_split, split_label, start_at_origin
+from kinegraph.motion.skeleton import start_at_origin
+from kinegraph_training.data.clips import IN_ORDER, MotionClip, read_jsonl, read_split, split_label
 from kinegraph_training.data.common_skeleton import rest_directions, to_common_skeleton
 from kinegraph_training.data.folder import pack_clips, to_json_lines, write_files
 from kinegraph_training.synthetic.action_table import ActionTable, read_action_table

@@ -347,9 +347,14 @@ def main(argv: list[str] | None = None) -> None:
     if arguments.start_from:
         load_start_weights(module.hierarchy, arguments.start_from, "hierarchy.")
     stage = run / "denoisers"
-    trainer = make_trainer(stage, config, validate_every=min(500, config.steps), lightning=lightning_flags(lightning))
     collate: Any = train_batches.collate_fn
-    trainer.callbacks.append(HideLate(collate, preset.data.hide_from * config.steps))  # type: ignore[attr-defined]
+    trainer = make_trainer(
+        stage,
+        config,
+        validate_every=min(500, config.steps),
+        lightning=lightning_flags(lightning),
+        callbacks=[HideLate(collate, preset.data.hide_from * config.steps)],
+    )
     fit(trainer, module, train_batches, val_batches, stage)
 
 

@@ -6,6 +6,7 @@ import argparse
 import csv
 import math
 from collections import defaultdict
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -172,7 +173,14 @@ def fast_precision() -> str:
     return "bf16-mixed" if has_bfloat16 else "32-true"
 
 
-def make_trainer(run: Path, config: OptimiserConfig, *, validate_every: int, lightning: dict[str, Any]) -> L.Trainer:
+def make_trainer(
+    run: Path,
+    config: OptimiserConfig,
+    *,
+    validate_every: int,
+    lightning: dict[str, Any],
+    callbacks: Sequence[L.Callback] = (),
+) -> L.Trainer:
     """Build a Lightning trainer that writes checkpoints and learning curves into `run`.
 
     Args:
@@ -180,6 +188,7 @@ def make_trainer(run: Path, config: OptimiserConfig, *, validate_every: int, lig
         config: of the stage.
         validate_every: steps between validations, and between checkpoints.
         lightning: further arguments of `lightning.Trainer` (devices, strategy ...), before those set here.
+        callbacks: of the stage, beside those of every stage.
     """
     # Lightning empties the folder of a log it opens, so each start gets its own.
     starts = len(list((run / "curves").glob("start_*")))
@@ -196,7 +205,10 @@ def make_trainer(run: Path, config: OptimiserConfig, *, validate_every: int, lig
         "enable_model_summary": False,
         # FrameBudgetSampler divides batches among processes itself; random samplers need no division.
         "use_distributed_sampler": False,
-        "callbacks": [LastCheckpoint(run, validate_every), RampedEma(config.ema), SeedPerProcess(), LearningCurves()],
+        "callbacks": [
+            *(LastCheckpoint(run, validate_every), RampedEma(config.ema), SeedPerProcess(), LearningCurves()),
+            *callbacks,
+        ],
         "logger": logger,
     }
     return L.Trainer(**(options | lightning))

@@ -25,14 +25,14 @@ from typing import Any, Final
 import numpy as np
 
 from kinegraph.arrays import FloatArray
-from kinegraph.motion.skeleton import bone_lengths
+from kinegraph.motion.skeleton import bone_lengths, start_at_origin
 from kinegraph_benchmarks.common.arguments import add_arguments, benchmark_parser
 from kinegraph_benchmarks.common.evaluator import FOLDER, Evaluator
 from kinegraph_benchmarks.common.label_classifier import LabelClassifier
 from kinegraph_benchmarks.common.report_io import write_report
 from kinegraph_benchmarks.common.sample_cache import BundleModel, Model, cache_folder, load_or_generate, long_enough
 from kinegraph_benchmarks.common.scores import grouped_r_precision
-from kinegraph_training.data.clips import MotionClip, mirrored_clip, read_jsonl, read_split, start_at_origin
+from kinegraph_training.data.clips import MotionClip, mirrored_clip, read_jsonl, read_split
 from kinegraph_training.data.common_skeleton import BONE_LENGTHS, rest_directions, to_common_skeleton
 from kinegraph_training.data.left_out import HELD_OUT, left_out_clips
 from kinegraph_training.metrics import frechet_distance, matching_distance

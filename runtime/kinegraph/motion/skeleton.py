@@ -12,7 +12,7 @@ from typing import Final
 
 import numpy as np
 
-from kinegraph.arrays import FloatArray
+from kinegraph.arrays import FloatArray, Floats
 
 JOINT_NAMES: Final[tuple[str, ...]] = (
     "pelvis",
@@ -75,7 +75,7 @@ ROOT_NAME: Final = "root"
 """Name of the joint on the floor that files can have above the pelvis, in every convention: that of Unreal's."""
 
 
-def facing_angle(joints: FloatArray) -> FloatArray:
+def facing_angle(joints: Floats) -> FloatArray:
     """Compute the heading of the body about +Y, from +Z towards +X (positive is a turn to the left).
 
     The facing direction is `cross(Y, across)` with `across = (right hip - left hip) +
@@ -105,9 +105,19 @@ def canonicalise(joints: FloatArray) -> FloatArray:
         (frames, 22, 3) float32 metres.
     """
     joints = np.asarray(joints, dtype=np.float64)
-    origin = joints[0, PELVIS].copy()
-    origin[1] = joints[..., 1].min()
-    moved = joints - origin
+    return start_at_origin(joints - np.array([0.0, joints[..., 1].min(), 0.0]))
+
+
+def start_at_origin(joints: Floats) -> FloatArray:
+    """Move and turn a clip over the floor so that it starts at x = z = 0 and faces +Z; heights stay.
+
+    Args:
+        joints: (frames, 22, 3) metres, Y up.
+
+    Returns:
+        (frames, 22, 3) float32 metres.
+    """
+    moved = joints - joints[0, PELVIS] * HORIZONTAL.astype(joints.dtype)
     # rotation by -heading about Y
     heading = float(facing_angle(moved[:1])[0])
     cos, sin = np.cos(heading), np.sin(heading)

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from kinegraph.arrays import FloatArray
 from kinegraph.errors import InvalidInputError
-from kinegraph.motion.skeleton import HORIZONTAL, PELVIS, facing_angle, mirrored
+from kinegraph.motion.skeleton import mirrored
 from kinegraph_training.data.folder import STEP_METRES
 
 AT_ONCE: Final = "+"
@@ -84,15 +84,6 @@ def _opposite(match: re.Match[str]) -> str:
 def split_label(label: str) -> tuple[str, ...]:
     """Split the label of several actions; a clip without a label has none."""
     return tuple(re.split(f"[{AT_ONCE}{IN_ORDER}]", label)) if label else ()
-
-
-def start_at_origin(joints: FloatArray) -> FloatArray:
-    """Move and turn a clip over the floor so that it starts at x = z = 0 and faces +Z; heights stay."""
-    moved = joints - joints[0, PELVIS] * HORIZONTAL.astype(np.float32)
-    heading = float(facing_angle(moved[:1])[0])
-    cos, sin = np.cos(heading), np.sin(heading)
-    x, y, z = moved[..., 0], moved[..., 1], moved[..., 2]
-    return np.stack([cos * x - sin * z, y, sin * x + cos * z], axis=-1).astype(np.float32)
 
 
 def mirrored_label(label: str) -> str:

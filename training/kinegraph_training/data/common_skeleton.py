@@ -17,6 +17,7 @@ from typing import Final
 import numpy as np
 
 from kinegraph.arrays import DoubleArray, FloatArray, Floats
+from kinegraph.motion.quaternions import shortest_rotation, to_matrix
 from kinegraph.motion.skeleton import FEET, JOINT_INDEX, JOINT_NAMES, JOINTS, PARENTS, PELVIS
 
 _SIDED: Final = {
@@ -138,7 +139,7 @@ def to_common_skeleton(joints: FloatArray, rests: dict[int, DoubleArray]) -> Flo
         direction = _directions(joints, joint)
         if joint in _RESTS:
             axes = frames[0] if JOINT_NAMES[joint] in _LOWER else frames[1]
-            turn = axes @ shortest_rotation(rests[joint], _RESTS[joint]) @ axes.transpose(0, 2, 1)
+            turn = axes @ to_matrix(shortest_rotation(rests[joint], _RESTS[joint])) @ axes.transpose(0, 2, 1)
             direction = np.einsum("tij,tj->ti", turn, direction)
         bones[:, joint] = direction * BONE_LENGTHS[joint - 1]
     hips = [JOINT_INDEX["left_hip"], JOINT_INDEX["right_hip"]]
@@ -156,11 +157,3 @@ def to_common_skeleton(joints: FloatArray, rests: dict[int, DoubleArray]) -> Flo
 def _floor(joints: Floats) -> float:
     """Measure the height that the lowest foot joint of a clip keeps to."""
     return float(np.quantile(joints[:, list(FEET), 1].min(axis=1), FLOOR_QUANTILE))
-
-
-def shortest_rotation(source: DoubleArray, target: DoubleArray) -> DoubleArray:
-    """Compute the rotation (3, 3) that takes one unit vector to another by the shortest way (Rodrigues)."""
-    axis, cosine = np.cross(source, target), float(source @ target)
-    cross = np.array([[0, -axis[2], axis[1]], [axis[2], 0, -axis[0]], [-axis[1], axis[0], 0]])
-    result: DoubleArray = np.eye(3) + cross + cross @ cross / (1.0 + cosine)
-    return result

@@ -19,8 +19,8 @@ from kinegraph.arrays import FloatArray
 from kinegraph.errors import InvalidInputError
 from kinegraph.motion.features import features_from_joints, joints_from_features
 from kinegraph.motion.postprocess import enforce_bone_lengths
-from kinegraph.motion.skeleton import JOINT_INDEX, bone_lengths, facing_angle
-from kinegraph_training.data.clips import MotionClip, mirrored_label, start_at_origin
+from kinegraph.motion.skeleton import JOINT_INDEX, bone_lengths, facing_angle, start_at_origin
+from kinegraph_training.data.clips import MotionClip, mirrored_label
 from kinegraph_training.metrics import FPS
 from kinegraph_training.synthetic.caption_grammar import (
     LOCOMOTION,

@@ -17,8 +17,8 @@ import numpy as np
 
 from kinegraph.arrays import FloatArray
 from kinegraph.motion.blending import stitch
-from kinegraph.motion.skeleton import JOINT_INDEX
-from kinegraph_training.data.clips import MotionClip, start_at_origin
+from kinegraph.motion.skeleton import JOINT_INDEX, start_at_origin
+from kinegraph_training.data.clips import MotionClip
 from kinegraph_training.metrics import FPS
 from kinegraph_training.synthetic.caption_grammar import LOCOMOTION, PHRASES, concept_caption, is_turn
 from kinegraph_training.synthetic.compositions import BLEND, MAX_POSE_GAP, pose_gap, stitch_clips

@@ -14,8 +14,8 @@ from typing import Final
 import numpy as np
 
 from kinegraph.arrays import DoubleArray, FloatArray
-from kinegraph.motion.skeleton import JOINT_INDEX
-from kinegraph_training.data.clips import MotionClip, start_at_origin
+from kinegraph.motion.skeleton import JOINT_INDEX, start_at_origin
+from kinegraph_training.data.clips import MotionClip
 from kinegraph_training.data.common_skeleton import trunk_frames
 from kinegraph_training.metrics import FPS
 from kinegraph_training.synthetic.caption_grammar import CAPTIONS, concept_caption

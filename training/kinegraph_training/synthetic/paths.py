@@ -13,8 +13,8 @@ import numpy as np
 
 from kinegraph.arrays import DoubleArray, FloatArray
 from kinegraph.motion.features import features_from_joints, joints_from_features
-from kinegraph.motion.skeleton import JOINT_INDEX, facing_angle
-from kinegraph_training.data.clips import MotionClip, start_at_origin
+from kinegraph.motion.skeleton import JOINT_INDEX, facing_angle, start_at_origin
+from kinegraph_training.data.clips import MotionClip
 from kinegraph_training.metrics import FPS
 from kinegraph_training.synthetic.caption_grammar import CAPTIONS, PHRASES, concept_caption
 from kinegraph_training.synthetic.compositions import stitch_clips

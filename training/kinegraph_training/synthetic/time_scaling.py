@@ -10,8 +10,9 @@ from typing import Final
 import numpy as np
 
 from kinegraph.arrays import FloatArray
+from kinegraph.motion.skeleton import start_at_origin
 from kinegraph_training.config import DataConfig
-from kinegraph_training.data.clips import MotionClip, start_at_origin
+from kinegraph_training.data.clips import MotionClip
 from kinegraph_training.synthetic.caption_grammar import LOCOMOTION, concept_caption
 from kinegraph_training.synthetic.excerpts import draw_clip
 
