@@ -63,6 +63,7 @@ def test_rests_are_mirror_images_and_the_frames_are_rotations() -> None:
     assert set(_RESTS) == set(rests)
 
 
+@pytest.mark.parametrize("name", ["bandai", "open"])
 def test_real_feet_do_not_slide_more_than_before(name: str) -> None:
     clips = [clip.joints for clip in read_split(shared_path("data", name), "val")][:40]
     rests = rest_directions(clips)
