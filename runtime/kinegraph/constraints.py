@@ -470,12 +470,21 @@ def _array(value: object, what: str, shape: tuple[int, ...], wanted: str) -> Dou
     fits = array.ndim == len(shape) and all(size in (-1, own) for size, own in zip(shape, array.shape, strict=True))
     if not fits:
         raise InvalidInputError(f"{what} have shape {array.shape}; it must be {wanted}")
+    if not isinstance(value, np.ndarray) and _holds_flags(value):
+        raise InvalidInputError(f"{what} hold true or false; they must be real numbers of shape {wanted}")
     copy = np.array(array, dtype=np.float64)
     if not np.isfinite(copy).all():
         index = tuple(int(number) for number in np.argwhere(~np.isfinite(copy))[0])
         raise InvalidInputError(f"{what} are not finite at index {index}; leave out what is not known")
     copy.flags.writeable = False
     return copy
+
+
+def _holds_flags(values: object) -> bool:
+    """Tell whether nested lists hold a bool, which numpy would take for 0 or 1."""
+    if isinstance(values, list | tuple):
+        return any(map(_holds_flags, values))
+    return isinstance(values, bool | np.bool_)
 
 
 def _pose(value: object, what: str, shape: tuple[int, ...], wanted: str) -> FloatArray:
