@@ -17,16 +17,31 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from kinegraph import Clip, Concept, KinegraphError, MotionPipeline, SemanticGraph, cli, edits
+from kinegraph import (
+    Clip,
+    Concept,
+    EndPose,
+    JointTarget,
+    KinegraphError,
+    Loop,
+    MotionPipeline,
+    SemanticGraph,
+    StartPose,
+    Waypoint,
+    cli,
+    constraints,
+    edits,
+)
 from kinegraph.bench import GRAPH
 from kinegraph.bundle.manifest import decode_manifest, seal
 from kinegraph.bundle.verify import verify_bundle
 from kinegraph.energy import energy_maps
 from kinegraph.errors import BundleFormatError, InvalidInputError
-from kinegraph.formats import read
+from kinegraph.feasibility import check_constraints
+from kinegraph.formats import constraints_json, read
 from kinegraph.formats.npz import read_npz
 from kinegraph.graph import Action, Argument
-from kinegraph.limits import MAX_CONCEPTS, MAX_PARTS, MAX_ROWS, MAX_TAKES, MAX_TEXT
+from kinegraph.limits import MAX_CONCEPTS, MAX_CONSTRAINTS, MAX_PARTS, MAX_ROWS, MAX_TAKES, MAX_TEXT
 from kinegraph.motion.skeleton import JOINTS
 from support.junk import HUGE, JUNK, nested
 from support.shared import shared_path
@@ -197,6 +212,15 @@ def test_long_captions_are_refused_before_they_are_parsed(toy: MotionPipeline, m
 CLIP = Clip(np.zeros((9, 22, 3), dtype=np.float32), 20.0, 1, "a person stands", "toy 1")
 FIELDS: dict[str, Any] = {"joints": CLIP.joints, "fps": 20, "seed": 1, "text": "a", "bundle": "b"}
 EXTRA_FIELDS = ("graph", "unknown", "notes")
+CONSTRAINT_FIELDS: dict[Callable[..., Any], dict[str, Any]] = {
+    constraints.Path: {"points": [[0, 0], [0, 1]], "times": None, "heading": None, "weight": 1},
+    Waypoint: {"seconds": 1, "position": (0, 1), "heading": None, "weight": 1},
+    JointTarget: {"joint": "head", "position": (0, 1, 0), "seconds": 1, "weight": 1},
+    constraints.Keyframe: {"seconds": 1, "joints": CLIP.joints[0], "weight": 1, "anywhere": False},
+    StartPose: {"joints": CLIP, "weight": 1, "fps": None},
+    EndPose: {"joints": CLIP.joints, "weight": 1, "fps": 20},
+    Loop: {"weight": 1},
+}
 PUBLIC: dict[str, Callable[[MotionPipeline, Any], object]] = {
     "load": lambda _, junk: MotionPipeline.load(junk) if junk is not None else None,
     "load, threads": lambda pipe, junk: MotionPipeline.load("nowhere", threads=junk),
@@ -233,6 +257,19 @@ PUBLIC: dict[str, Callable[[MotionPipeline, Any], object]] = {
     "concept": lambda _, junk: Concept(junk),
     "concept, weight": lambda _, junk: Concept("a person walks", junk),
     **{f"clip, {key}": lambda _, junk, key=key: Clip(**{**FIELDS, key: junk}) for key in (*FIELDS, *EXTRA_FIELDS)},
+    **{
+        f"{kind.__name__}, {key}": lambda _, junk, kind=kind, fields=fields, key=key: kind(**{**fields, key: junk})
+        for kind, fields in CONSTRAINT_FIELDS.items()
+        for key in fields
+    },
+    "keyframe of": lambda _, junk: constraints.Keyframe.of(junk, 0),
+    "keyframe of, seconds": lambda _, junk: constraints.Keyframe.of(CLIP, junk),
+    "check_constraints": lambda _, junk: check_constraints(junk, 80, 20),
+    "check_constraints, item": lambda _, junk: check_constraints([junk], 80, 20),
+    "constraints_json": lambda _, junk: constraints_json.decode(junk),
+    "constraints_json, entry": lambda _, junk: constraints_json.decode([junk]),
+    "constraints_json, type": lambda _, junk: constraints_json.decode([{"type": junk}]),
+    "constraints_json, file": lambda _, junk: constraints_json.read(junk),
     "resampled": lambda _, junk: CLIP.resampled(junk),
     "looped": lambda _, junk: CLIP.looped(foot_fix=junk),
     "save": lambda _, junk: CLIP.save(junk),
@@ -290,6 +327,59 @@ def test_any_argument_of_a_public_function_is_taken_or_refused(
                 PUBLIC[name](toy, junk)
             except KinegraphError as error:
                 assert str(error), type(junk)
+
+
+# Any file of constraints
+
+VALUES = st.recursive(
+    st.none() | st.booleans() | st.floats() | st.integers(-5, 200) | st.sampled_from(["along", "left hand", "pelvis"]),
+    lambda inner: st.lists(inner, max_size=4) | st.dictionaries(st.sampled_from(["fps", "joints"]), inner, max_size=2),
+    max_leaves=12,
+)
+PLACES = st.lists(st.lists(st.floats(-3, 3) | VALUES, min_size=2, max_size=3), min_size=1, max_size=5)
+ENTRIES = st.fixed_dictionaries(
+    {"type": st.sampled_from([*constraints_json.TYPES, *constraints_json.kimodo_json.TYPES, "other"])},
+    optional={
+        **dict.fromkeys(("times", "heading", "weight", "anywhere", "fps", "joint", "joint_names", "more"), VALUES),
+        "points": PLACES,
+        "smooth_root_2d": PLACES,
+        "root_positions": PLACES,
+        "local_joints_rot": st.just([[[0.0] * 3] * 22] * 2) | PLACES,
+        "position": st.lists(st.floats(-3, 3) | VALUES, min_size=2, max_size=3),
+        "seconds": st.floats(0, 4) | VALUES,
+        "joints": st.just(CLIP.joints[0].tolist()) | st.just(CLIP.joints[:4].tolist()) | VALUES,
+        "frame_indices": st.just([0, 30]) | st.lists(st.integers(0, 90), min_size=1, max_size=5) | VALUES,
+    },
+)
+
+
+@pytest.mark.timeout(3600)
+def test_any_file_of_constraints_is_read_or_refused(is_long: bool) -> None:
+    read_well = []
+
+    @settings(max_examples=10_000 if is_long else 300, deadline=None, database=None)
+    @given(st.lists(ENTRIES, max_size=4))
+    def check(entries: list[dict[str, Any]]) -> None:
+        data = json.dumps(entries).encode()
+        with suppress(InvalidInputError):
+            made = constraints_json.decode(constraints_json.parse(data))
+            assert len(constraints_json.decode(constraints_json.parse(constraints_json.encode(made)))) == len(made)
+            read_well.append(len(made))
+            check_constraints(made, 80, 20)
+
+    with bounded(1e9):
+        check()
+    assert any(read_well)
+
+
+def test_files_of_constraints_have_limits() -> None:
+    large = [b"[" * 290_000, b"[" + b"[]," * 90_000 + b"[]]", b'[{"a":' * 5000, b"[" + b'{"type": "loop"},' * 100_000]
+    for data in (*large, b"9" * 7_000_000, b'["' + b"\\u" * 1_000_000, b" " * 9_000_000):
+        with bounded(2), pytest.raises(InvalidInputError):
+            constraints_json.decode(constraints_json.parse(data))
+    most = [JointTarget("head", (None, 1.5, None), (0, 9.8))] * MAX_CONSTRAINTS
+    with bounded():
+        check_constraints(most, 196, 20)
 
 
 # What an attack found, as kinds

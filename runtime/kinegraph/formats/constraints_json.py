@@ -51,11 +51,17 @@ def read(path: str | os.PathLike[str]) -> tuple[Constraint, ...]:
     Raises:
         InvalidInputError: it cannot be read, is too large, or is no list of constraints; the message names the entry.
     """
+    if not isinstance(path, str | os.PathLike):
+        raise InvalidInputError(f"constraints are read from a path, not from {short_repr(path)}")
     file = FilePath(path)
     try:
+        if not file.is_file():
+            raise InvalidInputError(f"there is no file of constraints {str(file)[:200]!r}")
         with file.open("rb") as stream:
             data = stream.read(MAX_BYTES + 1)
     except (OSError, ValueError) as error:
+        if isinstance(error, InvalidInputError):
+            raise
         raise InvalidInputError(f"cannot read constraints from {str(file)[:200]!r}: {error}") from error
     try:
         return decode(parse(data))
