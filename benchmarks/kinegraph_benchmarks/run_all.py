@@ -52,6 +52,7 @@ def list_benchmarks(options: argparse.Namespace) -> list[Benchmark]:
         Benchmark("lengths", "quality.duration_sweep", "Sentences at any length", data),
         Benchmark("waves", "quality.waves", "Waves at any length", data),
         Benchmark("sequences", "quality.sequences", "Parts of sequences", data),
+        Benchmark("constraints", "quality.constraints", "Paths, places, poses", data),
         Benchmark("take_equality", "quality.take_equality", "Takes and the clips of their seeds", ()),
         Benchmark("negations", "quality.negations", "Actions that must not happen", data),
         Benchmark("wording", "quality.wording", "Directions, orders and lengths in words", data),

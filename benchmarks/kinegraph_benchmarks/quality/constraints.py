@@ -1,0 +1,305 @@
+"""Measure constraints: how near clips come, how natural they stay, whether the text still holds, and what it costs.
+
+    python -m kinegraph_benchmarks.quality.constraints --data DATA/bandai --out constraints.json
+
+    ... --cases N                   of each kind (50)
+    ... --curve-cases N             of each point of the curves against weight and number of keys (10)
+
+Each case of `common.constraint_cases` is made three times with one seed: plain, by the energies alone, and with the
+correction after them. Misses are measured here, not taken from the clip. Jerk and skate are ratios to the plain clip,
+the Frechet distance is to captured clips beside that of the plain ones, and time is CPU time of one thread, as a ratio
+to the plain clip made just before. Writes JSON, and a Markdown table beside it.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from typing import Any, Final
+
+import numpy as np
+
+from kinegraph import Clip, EndPose, JointTarget, Keyframe, Loop, MotionPipeline, Path, StartPose, Waypoint
+from kinegraph.arrays import DoubleArray, FloatArray
+from kinegraph.constraints import Constraint
+from kinegraph.feasibility import frame_of
+from kinegraph.motion.skeleton import HORIZONTAL, PELVIS, facing_angle
+from kinegraph_benchmarks.common.arguments import add_arguments, benchmark_parser
+from kinegraph_benchmarks.common.constraint_cases import Case, floor_path, make_cases
+from kinegraph_benchmarks.common.evaluator import Evaluator
+from kinegraph_benchmarks.common.everyday_rules import meets
+from kinegraph_benchmarks.common.predicates import FPS
+from kinegraph_benchmarks.common.report_io import write_report
+from kinegraph_training.data.clips import MotionClip, read_split
+from kinegraph_training.metrics import foot_skate, frechet_distance, jerk
+
+SPLIT: Final = "dev_test"
+ALONE_GOALS: Final = {
+    "path": 0.03,
+    "drawn path": 0.03,
+    "waypoint": 0.03,
+    "hand": 0.025,
+    "foot": 0.025,
+    "keyframe": 0.03,
+    "start": 0.015,
+    "end": 0.015,
+    "loop": 0.01,
+}
+"""Kind -> mean miss by the energies alone, metres."""
+CORRECTED_GOAL: Final = 0.005
+JERK_GOAL, SKATE_GOAL, TEXT_GOAL, TIME_GOAL = 1.3, 1.2, 0.9, 6.0
+WEIGHTS: Final = (0.25, 0.5, 1.0, 2.0, 4.0)
+KEYS: Final = (1, 2, 4, 8)
+SMALL_SKATE: Final = 0.05
+"""Metres per second: the ratio of a clip that hardly skates says nothing, so this is added to both."""
+
+
+def miss(joints: FloatArray, constraint: Constraint) -> float:
+    """Measure how far a clip is from a constraint: the mean distance of what it names, metres."""
+    joints = joints.astype(np.float64)
+    frames = len(joints)
+    match constraint:
+        case Path():
+            times, duration = np.arange(frames) / FPS, (frames - 1) / FPS
+            covered = constraint.covers(times, duration) > 0
+            wanted = constraint.positions(times, duration)
+            return float(np.linalg.norm(floor_path(joints)[covered] - wanted[covered], axis=1).mean())
+        case Waypoint():
+            frame = frame_of(constraint.seconds, frames, FPS)
+            return float(np.linalg.norm(floor_path(joints)[frame] - constraint.position))
+        case JointTarget():
+            begin, end = (frame_of(moment, frames, FPS) for moment in constraint.interval)
+            axes = [axis for axis, value in enumerate(constraint.position) if value is not None]
+            place = [value for value in constraint.position if value is not None]
+            path = joints[begin : end + 1, constraint.index][:, axes]
+            return float(np.linalg.norm(path - place, axis=1).mean())
+        case Keyframe():
+            pose = joints[[frame_of(constraint.seconds, frames, FPS)]]
+            wanted = constraint.joints.astype(np.float64)[None]
+            if constraint.anywhere:
+                pose, wanted = placed(pose, 0), placed(wanted, 0)
+        case StartPose():
+            wanted = constraint.frames(FPS).astype(np.float64)
+            pose = joints[: len(wanted)]
+        case EndPose():
+            wanted = constraint.frames(FPS).astype(np.float64)
+            pose = placed(joints[-len(wanted) :], -1)
+        case Loop():
+            pose, wanted = placed(joints[-1:], 0), placed(joints[:1], 0)
+    return float(np.linalg.norm(pose - wanted, axis=-1).mean())
+
+
+def placed(joints: DoubleArray, anchor: int) -> DoubleArray:
+    """Move and turn frames so that frame `anchor` is above the origin and faces +Z."""
+    angle = float(facing_angle(joints[[anchor]].astype(np.float32))[0])
+    cos, sin = np.cos(angle), np.sin(angle)
+    x, y, z = np.moveaxis(joints - joints[anchor, PELVIS] * HORIZONTAL, -1, 0)
+    return np.stack([cos * x - sin * z, y, sin * x + cos * z], axis=-1)
+
+
+def timed(make: Callable[[], Clip]) -> tuple[FloatArray, float]:
+    """Make a clip, and measure its CPU time in seconds."""
+    start = time.process_time()
+    clip = make()
+    return clip.joints, time.process_time() - start
+
+
+def run_case(pipe: MotionPipeline, case: Case, *, weight: float = 1.0) -> dict[str, Any]:
+    """Make a case plain, by the energies alone, and corrected; measure each.
+
+    Returns:
+        Misses in metres, jerk and skate as ratios to the plain clip, CPU seconds, whether rules hold; and the joints.
+    """
+    plain, plain_seconds = timed(lambda: pipe.generate(case.text, seconds=case.seconds, seed=case.seed))
+    row: dict[str, Any] = {
+        "text": case.text,
+        "seed": case.seed,
+        "seconds": case.seconds,
+        "plain": {"cpu": plain_seconds, "holds": meets(plain, case.rules), "joints": plain} | misses(plain, case),
+    }
+    for arm, options in (("alone", {"constraint_fix": False}), ("corrected", {})):
+        joints, seconds = timed(
+            lambda options=options: pipe.generate(  # type: ignore[misc]
+                case.text,
+                seconds=case.seconds,
+                seed=case.seed,
+                constraints=case.constraints,
+                constraint_weight=weight,
+                **options,
+            )
+        )
+        skates = [np.nan_to_num(foot_skate(clip)) + SMALL_SKATE for clip in (joints, plain)]
+        row[arm] = {
+            "cpu": seconds,
+            "holds": meets(joints, case.rules),
+            "jerk": jerk(joints) / max(jerk(plain), 1e-9),
+            "skate": float(skates[0] / skates[1]),
+            "joints": joints,
+        } | misses(joints, case)
+    return row
+
+
+def misses(joints: FloatArray, case: Case) -> dict[str, float]:
+    """Measure mean and largest miss of a case's constraints."""
+    values = [miss(joints, constraint) for constraint in case.constraints]
+    return {"miss": float(np.mean(values)), "worst": max(values)}
+
+
+def summarise(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+    """Summarise the cases of one kind: a row for each arm."""
+    summary: dict[str, Any] = {"cases": len(rows)}
+    plain_rate = float(np.mean([row["plain"]["holds"] for row in rows]))
+    for arm in ("plain", "alone", "corrected"):
+        of_arm = [row[arm] for row in rows]
+        told = np.array([one["miss"] for one in of_arm])
+        rate = float(np.mean([one["holds"] for one in of_arm]))
+        summary[arm] = {
+            "miss_mean": float(told.mean()),
+            "miss_median": float(np.median(told)),
+            "miss_p95": float(np.quantile(told, 0.95)),
+            "rate": rate,
+        }
+        if arm != "plain":
+            ratios = [row[arm]["cpu"] / row["plain"]["cpu"] for row in rows]
+            summary[arm] |= {
+                "jerk": float(np.median([one["jerk"] for one in of_arm])),
+                "skate": float(np.median([one["skate"] for one in of_arm])),
+                "text_kept": rate / plain_rate if plain_rate else None,
+                "time": float(np.median(ratios)),
+            }
+    return summary
+
+
+def frechet(rows: Sequence[Mapping[str, Any]], captured: FloatArray, evaluator: Evaluator) -> dict[str, float]:
+    """Compute the Frechet distance of each arm's clips to embeddings (n, e) of captured ones."""
+    return {
+        arm: frechet_distance(evaluator.embed_motions([row[arm]["joints"] for row in rows]), captured)
+        for arm in ("plain", "alone", "corrected")
+    }
+
+
+def weight_curve(pipe: MotionPipeline, cases: Mapping[str, Sequence[Case]], count: int) -> list[dict[str, Any]]:
+    """Measure some kinds at several weights."""
+    rows = []
+    for kind in [kind for kind in ("drawn path", "hand", "keyframe") if kind in cases]:
+        for weight in WEIGHTS:
+            made = [run_case(pipe, case, weight=weight) for case in cases[kind][:count]]
+            rows.append({"kind": kind, "weight": weight} | summarise(made))
+    return rows
+
+
+def key_curve(pipe: MotionPipeline, cases: Sequence[Case], count: int) -> list[dict[str, Any]]:
+    """Measure the drawn paths as waypoints, few or many."""
+    rows = []
+    for keys in KEYS:
+        sparse = [replace(case, constraints=waypoints_of(case, keys)) for case in cases[:count]]
+        rows.append({"keys": keys} | summarise([run_case(pipe, case) for case in sparse]))
+    return rows
+
+
+def waypoints_of(case: Case, keys: int) -> tuple[Waypoint, ...]:
+    """Turn the path of a case into waypoints, evenly spread over its time."""
+    (path,) = case.constraints
+    assert isinstance(path, Path)
+    frames = round(case.seconds * FPS)
+    duration = (frames - 1) / FPS
+    times = np.linspace(0.0, duration, keys + 1)[1:]
+    return tuple(
+        Waypoint(float(moment), (float(x), float(z)))
+        for moment, (x, z) in zip(times, path.positions(times, duration), strict=True)
+    )
+
+
+def goals_met(kind: str, summary: Mapping[str, Any]) -> dict[str, bool]:
+    """Tell which goals of issue 25 a kind meets."""
+    alone, corrected = summary["alone"], summary["corrected"]
+    return {
+        "alone": kind not in ALONE_GOALS or alone["miss_mean"] <= ALONE_GOALS[kind],
+        "corrected": corrected["miss_mean"] <= CORRECTED_GOAL,
+        "jerk": corrected["jerk"] <= JERK_GOAL,
+        "skate": corrected["skate"] <= SKATE_GOAL,
+        "text": corrected["text_kept"] is None or corrected["text_kept"] >= TEXT_GOAL,
+        "time": corrected["time"] <= TIME_GOAL,
+    }
+
+
+def markdown_table(result: Mapping[str, Any]) -> str:
+    """Format a result as Markdown."""
+    lines = [
+        f"{result['bundle']}, {result['cases']} cases a kind, seeds from 70,000; misses in cm, mean (95 %)",
+        "",
+        "| kind | plain | energies alone | corrected | jerk | skate | Frechet plain, corrected | text plain, corrected"
+        " | time | not met |",
+        "|---" * 10 + "|",
+    ]
+    for kind, row in result["kinds"].items():
+        cells = [f"{100 * row[arm]['miss_mean']:.1f} ({100 * row[arm]['miss_p95']:.1f})" for arm in _ARMS]
+        fid = row["frechet"]
+        cells += [f"{row['corrected']['jerk']:.2f} x", f"{row['corrected']['skate']:.2f} x"]
+        cells += [f"{fid['plain']:.3f}, {fid['corrected']:.3f}"]
+        cells += [f"{row['plain']['rate']:.2f}, {row['corrected']['rate']:.2f}", f"{row['corrected']['time']:.1f} x"]
+        cells += [", ".join(name for name, met in row["met"].items() if not met) or "-"]
+        lines.append(f"| {kind} | " + " | ".join(cells) + " |")
+    lines += ["", "| kind | weight | alone, cm | corrected, cm | jerk | text |", "|---" * 6 + "|"]
+    for row in result["weights"]:
+        lines.append(f"| {row['kind']} | {row['weight']:g} | " + _curve_cells(row))
+    lines += ["", "| waypoints | alone, cm | corrected, cm | jerk | text |", "|---" * 5 + "|"]
+    for row in result["keys"]:
+        lines.append(f"| {row['keys']} | " + _curve_cells(row))
+    return "\n".join(lines) + "\n"
+
+
+_ARMS: Final = ("plain", "alone", "corrected")
+
+
+def _curve_cells(row: Mapping[str, Any]) -> str:
+    alone, corrected = (f"{100 * row[arm]['miss_mean']:.1f}" for arm in ("alone", "corrected"))
+    return f"{alone} | {corrected} | {row['corrected']['jerk']:.2f} x | {row['corrected']['rate']:.2f} |"
+
+
+def measure(
+    pipe: MotionPipeline, clips: Sequence[MotionClip], count: int, curve_count: int, evaluator: Evaluator
+) -> dict[str, Any]:
+    """Measure all kinds and curves; see `main`."""
+    cases = make_cases(clips, count)
+    captured = evaluator.embed_motions([clip.joints for clip in clips])
+    kinds: dict[str, Any] = {}
+    for kind, of_kind in cases.items():
+        rows = [run_case(pipe, case) for case in of_kind]
+        kinds[kind] = summarise(rows) | {"frechet": frechet(rows, captured, evaluator)}
+        kinds[kind]["met"] = goals_met(kind, kinds[kind])
+        kinds[kind]["rows"] = [without_joints(row) for row in rows]
+        print(kind, kinds[kind]["corrected"], flush=True)
+    return {
+        "bundle": f"{pipe.manifest.name} {pipe.manifest.version}",
+        "cases": count,
+        "kinds": kinds,
+        "weights": weight_curve(pipe, cases, curve_count),
+        "keys": key_curve(pipe, cases["drawn path"], curve_count),
+    }
+
+
+def without_joints(row: Mapping[str, Any]) -> dict[str, Any]:
+    """Leave the joints out of a row, for JSON."""
+    return {
+        key: {name: one for name, one in value.items() if name != "joints"} if isinstance(value, dict) else value
+        for key, value in row.items()
+    }
+
+
+def main() -> None:
+    """Run the command line."""
+    parser = benchmark_parser(__doc__)
+    parser.add_argument("--cases", type=int, default=50, help="cases of each kind (50)")
+    parser.add_argument("--curve-cases", type=int, default=10, help="cases of each point of the curves (10)")
+    add_arguments(parser, "data", "bundle", "out")
+    options = parser.parse_args()
+    pipe = MotionPipeline.load(options.bundle, threads=1)
+    pipe.generate("a person walks forward", seconds=1, seed=1)  # opens the sessions
+    result = measure(pipe, read_split(options.data, SPLIT), options.cases, options.curve_cases, Evaluator())
+    write_report(options.out, result, markdown_table(result))
+
+
+if __name__ == "__main__":
+    main()
