@@ -16,6 +16,8 @@ from kinegraph.bundle.contract import (
     AGD_CONTEXTS,
     AGD_DENOISERS,
     COARSE_DECODERS,
+    DECODER_GRADIENTS,
+    ENCODER,
     KINDS,
     LEVELS,
     GraphContract,
@@ -30,7 +32,9 @@ from kinegraph_export.modules import (
     CoarseDecoderGraph,
     ContextGraph,
     DecoderGraph,
+    DecoderVjp,
     DenoiserGraph,
+    EncoderGraph,
     ModulationGraph,
     MotionAgdContextGraph,
     MotionContextGraph,
@@ -38,6 +42,7 @@ from kinegraph_export.modules import (
 from kinegraph_export.onnx_export import serialise, store_float16, store_int8, strip_metadata, to_onnx
 from kinegraph_export.parity import InputGenerator, max_difference, module_arguments, relative_error
 from kinegraph_export.quantise import optimise_graph, quantise_dynamic
+from kinegraph_export.reverse_mode import derive_gradient, without_weights
 from kinegraph_training.models.agd import AgdNoisePredictor
 from kinegraph_training.models.hierarchy import Hierarchy
 from kinegraph_training.models.vae import MotionVae
@@ -46,7 +51,7 @@ Precision = Literal["fp32", "int8"]
 
 FLOAT32_GRAPHS = ("graph_encoder", "decoder", *AGD_CONTEXTS.values())
 """Graphs that compute in float32 on float16 weights in an int8 bundle too."""
-INT8_WEIGHT_GRAPHS = tuple(COARSE_DECODERS.values())
+INT8_WEIGHT_GRAPHS = (*COARSE_DECODERS.values(), ENCODER)
 """Graphs that compute in float32 on int8 weights in an int8 bundle."""
 
 
@@ -123,6 +128,7 @@ def graph_modules(trained: TrainedModels) -> dict[str, nn.Module]:
         modules[COARSE_DECODERS[level]] = CoarseDecoderGraph(
             coarse.vae, coarse.centre, coarse.scale, coarse.gain, coarse.shift
         )
+    modules[ENCODER] = EncoderGraph(trained.vae, trained.centre, trained.scale)
     return {name: module.eval() for name, module in modules.items()}
 
 
@@ -178,6 +184,8 @@ def _random_values(name: str, shape: tuple[int, ...], size: dict[str, int], rng:
         return (np.arange(shape[1]) < length[:, None]).astype(np.float32)
     if name == "gamma":
         return rng.choice([0.0, 1e-3, 1e-2], shape).astype(np.float32)
+    if name == "cotangent":
+        return (0.01 * rng.standard_normal(shape)).astype(np.float32)
     if name == "bias":
         return rng.choice([0.0, 0.0, -0.7, -1e4], shape).astype(np.float32)
     return rng.standard_normal(shape).astype(np.float32)
@@ -221,6 +229,38 @@ def export_graph(
         data = serialise(store_float16(strip_metadata(_quantise_graph(model, contract.name))))
         parity[f"int8_{contract.name}"] = relative_error(data, module, contract, draw)
     return data, parity
+
+
+def export_gradient(
+    module: nn.Module,
+    contract: GraphContract,
+    frames_per_token: int,
+    stored: bytes,
+    exact: onnx.ModelProto | None = None,
+) -> tuple[bytes, dict[str, float]]:
+    """Derive the gradient of an exported decoder, and measure how far it is from autograd.
+
+    Args:
+        module: the trained decoder, a `DecoderGraph`.
+        contract: of the gradient.
+        frames_per_token: which the number of frames is a multiple of.
+        stored: ONNX bytes of the decoder, as the bundle holds them.
+        exact: the decoder in float16, where the bundle holds its weights as int8.
+
+    Returns:
+        ONNX bytes without weights, and differences as in `export_graph`.
+
+    Raises:
+        ParityError: the derived graph differs from autograd.
+    """
+    draw = random_inputs(contract, frames_per_token)
+    oracle = DecoderVjp(module)
+    decoder = onnx.load_model_from_string(stored)
+    gradient = derive_gradient(decoder)
+    parity = {contract.name: max_difference(serialise(derive_gradient(exact or decoder)), oracle, contract, draw)}
+    if exact is not None:
+        parity[f"int8_{contract.name}"] = relative_error(serialise(gradient), oracle, contract, draw)
+    return without_weights(gradient, decoder), parity
 
 
 def _quantise_graph(model: onnx.ModelProto, name: str) -> onnx.ModelProto:
@@ -274,8 +314,18 @@ def export_graphs(
     group = trained.vae.config.frames_per_token
     files: dict[str, bytes] = {}
     parity: dict[str, float] = {}
-    for name, module in graph_modules(trained).items():
+    modules = graph_modules(trained)
+    for name, module in modules.items():
         contract = declared[name]
         files[contract.file], differences = export_graph(module, contract, group, precision)
         parity |= differences
+    if set(trained.coarse) == set(COARSE_DECODERS):
+        for level, name in DECODER_GRADIENTS.items():
+            decoder = COARSE_DECODERS.get(level, "decoder")
+            module, exact = modules[decoder], None
+            if precision == "int8" and decoder in INT8_WEIGHT_GRAPHS:
+                exact = store_float16(trace_to_onnx(module, declared[decoder], group))
+            stored = files[declared[decoder].file]
+            files[declared[name].file], differences = export_gradient(module, declared[name], group, stored, exact)
+            parity |= differences
     return files, parity

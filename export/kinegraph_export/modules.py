@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import torch
 from torch import Tensor, nn
 
 from kinegraph_training.models.agd import AgdNoisePredictor
@@ -113,3 +114,35 @@ class CoarseDecoderGraph(DecoderGraph):
 
     def forward(self, latent: Tensor, frame_mask: Tensor) -> Tensor:
         return super().forward(latent, frame_mask) * self.gain + self.shift
+
+
+class DecoderVjp(nn.Module):
+    """What a graph decoder_{level}_vjp must compute: the vector-Jacobian product of a decoder, by autograd.
+
+    The graph itself is derived from the exported decoder (`kinegraph_export.reverse_mode`), not traced from this.
+    """
+
+    def __init__(self, decoder: DecoderGraph) -> None:
+        super().__init__()
+        self.decoder = decoder
+
+    def forward(self, latent: Tensor, frame_mask: Tensor, cotangent: Tensor) -> Tensor:
+        with torch.enable_grad():
+            latent = latent.detach().requires_grad_()
+            features = self.decoder(latent, frame_mask)
+            (gradient,) = torch.autograd.grad(features, latent, cotangent)
+        return gradient
+
+
+class EncoderGraph(nn.Module):
+    """Graph encoder: normalised features (b, l, F) -> mean of the posterior, standardised (b, c, z)."""
+
+    def __init__(self, vae: MotionVae, centre: Tensor, scale: Tensor) -> None:
+        super().__init__()
+        self.vae = vae
+        self.register_buffer("centre", centre)
+        self.register_buffer("scale", scale)
+
+    def forward(self, features: Tensor, frame_mask: Tensor) -> Tensor:
+        mean, _ = self.vae.encode(features, frame_mask)
+        return (mean - self.centre) / self.scale

@@ -28,7 +28,7 @@ from torch import nn
 
 from kinegraph.bundle.contract import (
     COARSE_DECODERS,
-    FORMAT_VERSION,
+    CONTEXT_MIXING_VERSION,
     LEVELS,
     OPTIONAL_GRAPHS,
     GraphContract,
@@ -254,10 +254,10 @@ def recover(
     """
     bundle, config = read_bundle(folder), read_preset(preset)
     manifest = bundle.manifest
-    if manifest.format_version != FORMAT_VERSION:
+    if manifest.format_version < CONTEXT_MIXING_VERSION:
         raise InvalidInputError(
-            f"the bundle has format {manifest.format_version}, and denoisers of format {FORMAT_VERSION} have further "
-            "weights; recover it with the kinegraph that exported it"
+            f"the bundle has format {manifest.format_version}, and denoisers of format {CONTEXT_MIXING_VERSION} have "
+            "further weights; recover it with the kinegraph that exported it"
         )
     declared = contracts(manifest.levels, config.denoiser.text_width, len(manifest.features.mean))
     for level in LEVELS:

@@ -94,6 +94,10 @@ TABLE = {
         " | bias f A,1,8,S",
         "noise f R,8,16",
     ),
+    "decoder_motion_vjp": ("latent f B,2,16 | frame_mask f B,L | cotangent f B,L,137", "gradient f B,2,16"),
+    "decoder_action_vjp": ("latent f B,4,16 | frame_mask f B,L | cotangent f B,L,137", "gradient f B,4,16"),
+    "decoder_vjp": ("latent f B,8,16 | frame_mask f B,L | cotangent f B,L,137", "gradient f B,8,16"),
+    "encoder": ("features f B,L,137 | frame_mask f B,L", "latent f B,8,16"),
 }
 
 

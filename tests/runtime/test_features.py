@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from kinegraph.motion import features as layout
-from kinegraph.motion.features import features_from_joints, joints_from_features, normalisation
+from kinegraph.motion.features import features_from_joints, joints_from_features, joints_vjp, normalisation
 from kinegraph.motion.skeleton import JOINT_INDEX, bone_lengths, facing_angle, mirrored
 from support.motions import recorded, t_pose, turn, walk
 
@@ -130,3 +130,36 @@ def test_a_group_that_never_changes_is_normalised_to_zero() -> None:
     mean, std = normalisation([still])
     assert (std > 0).all()
     np.testing.assert_allclose((still - mean) / std, 0.0, atol=1e-3)
+
+
+def test_the_gradient_of_joints_is_that_of_autograd() -> None:
+    torch = pytest.importorskip("torch")
+    rng = np.random.default_rng(0)
+    rows = features_from_joints(walk(50, turning=0.04)) + rng.normal(0.0, 0.02, (50, 137)).astype(np.float32)
+    cotangent = rng.normal(size=(50, 22, 3))
+    features = torch.from_numpy(rows.astype(np.float64)).requires_grad_()
+    angle = torch.cat([torch.zeros(1, dtype=torch.float64), torch.cumsum(features[:-1, 0], 0)])
+    cos, sin = angle.cos(), angle.sin()
+    left, forward = features[:, 1], features[:, 2]
+    step = torch.stack([cos * left + sin * forward, -sin * left + cos * forward], -1)
+    root = torch.cat([torch.zeros(1, 2, dtype=torch.float64), torch.cumsum(step[:-1], 0)])
+    x, y, z = features[:, 4:67].reshape(50, 21, 3).unbind(-1)
+    others = [cos[:, None] * x + sin[:, None] * z + root[:, :1], y, -sin[:, None] * x + cos[:, None] * z + root[:, 1:]]
+    pelvis = torch.stack([root[:, 0], features[:, 3], root[:, 1]], -1)
+    joints = torch.cat([pelvis[:, None], torch.stack(others, -1)], 1)
+    np.testing.assert_allclose(joints.detach().numpy(), joints_from_features(rows), atol=1e-5)
+    (joints * torch.from_numpy(cotangent)).sum().backward()
+    np.testing.assert_allclose(joints_vjp(rows, cotangent), features.grad.numpy(), rtol=1e-9, atol=1e-9)
+
+
+def test_the_gradient_of_joints_is_that_of_finite_differences() -> None:
+    rng = np.random.default_rng(1)
+    rows = features_from_joints(walk(24, turning=0.1)).astype(np.float64)
+    cotangent = rng.normal(size=(24, 22, 3))
+    gradient = joints_vjp(rows, cotangent)
+    for _ in range(20):
+        direction = rng.normal(size=rows.shape)
+        ends = [joints_from_features(rows + sign * 1e-3 * direction).astype(np.float64) for sign in (1, -1)]
+        slope = ((ends[0] - ends[1]) * cotangent).sum() / 2e-3
+        assert abs(slope - (gradient * direction).sum()) <= 1e-3 * np.abs(gradient).sum()
+    assert not gradient[:, layout.VELOCITIES].any() and not gradient[:, layout.CONTACTS].any()

@@ -16,7 +16,7 @@ from support.manifests import ALL_PATHS, GOOD, changed, dotted, value_at
 from support.synthetic_bundle import LEVEL_SPECS, bundle_files, manifest_for, sealed
 
 FREE_MAPS = {("provenance",), ("scope",), ("parity",), ("training",), ("quality",)}
-OPTIONAL = [("files", name) for name in ("parser.bin", "decoder_motion.onnx", "decoder_action.onnx")]
+OPTIONAL = [("files", name) for name in ("parser.bin", "encoder.onnx")]
 WITH_DEFAULT = [("family",), ("text", "max_pieces")]
 """Keys that older bundles do not have."""
 REQUIRED = [
@@ -78,6 +78,8 @@ def test_a_missing_key_is_named(path: tuple[Any, ...]) -> None:
 
 def test_the_coarse_decoders_are_optional_each_with_its_operators() -> None:
     value = copy.deepcopy(GOOD)
+    for part in ("files", "operators"):  # gradients need their decoders
+        value[part] = {key: entry for key, entry in value[part].items() if not key.endswith("_vjp.onnx")}
     del value["files"]["decoder_motion.onnx"]
     with pytest.raises(BundleFormatError, match="operators must have exactly the keys"):
         decode_manifest(sealed(value))
@@ -98,11 +100,26 @@ def test_the_graphs_of_adaptive_gradient_descent_are_optional_all_together() -> 
     assert not any(name.endswith("_agd") for name in decode_manifest(sealed(value)).contracts)
 
 
-@pytest.mark.parametrize("version", [2, 3])
+def test_the_gradients_of_decoders_are_optional_all_together_and_need_their_decoders() -> None:
+    value = copy.deepcopy(GOOD)
+    names = [name for name in value["files"] if name.endswith("_vjp.onnx")]
+    assert len(names) == 3
+    for name in names:
+        with pytest.raises(BundleFormatError, match="all or none"):
+            decode_manifest(sealed({**value, "files": {k: v for k, v in value["files"].items() if k != name}}))
+    for name in ("decoder_motion.onnx", "decoder_action.onnx"):
+        with pytest.raises(BundleFormatError, match=f"lacks .*{name}"):
+            decode_manifest(sealed({**value, "files": {k: v for k, v in value["files"].items() if k != name}}))
+    for part in ("files", "operators"):
+        value[part] = {key: entry for key, entry in value[part].items() if key not in names}
+    assert not any(name.endswith("_vjp") for name in decode_manifest(sealed(value)).contracts)
+
+
+@pytest.mark.parametrize("version", [2, 3, 4])
 def test_a_bundle_of_a_format_before_is_read(version: int) -> None:
     manifest = manifest_for(bundle_files(version), version)
     assert decode_manifest(encode_manifest(manifest)) == manifest
-    assert not manifest.attends_to_words and not manifest.knows_partial_captions
+    assert not manifest.attends_to_words and manifest.knows_partial_captions == (version == 4)
 
 
 def test_file_names_and_words_belong_to_a_format() -> None:
@@ -159,7 +176,7 @@ def test_a_wrong_type_is_named(path: tuple[Any, ...]) -> None:
 
 BREAKS: list[tuple[tuple[Any, ...], object]] = [
     (("format_version",), 1),
-    (("format_version",), 5),
+    (("format_version",), 6),
     (("format_version",), 0),
     (("skeleton", "joint_names"), GOOD["skeleton"]["joint_names"][:-1]),
     (("skeleton", "parents", 3), 1),
@@ -234,5 +251,5 @@ def test_a_name_with_nul_is_refused() -> None:
 
 
 def test_a_newer_format_says_so_before_its_new_keys_do() -> None:
-    with pytest.raises(BundleFormatError, match="format_version is 5"):
-        decode_manifest(sealed({**GOOD, "format_version": 5, "new_key": 1}))
+    with pytest.raises(BundleFormatError, match="format_version is 6"):
+        decode_manifest(sealed({**GOOD, "format_version": 6, "new_key": 1}))

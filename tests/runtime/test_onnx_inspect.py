@@ -6,14 +6,16 @@ import random
 from collections.abc import Iterator
 from typing import Any
 
+import numpy as np
+import onnxruntime
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from kinegraph.bundle.contract import contracts
-from kinegraph.bundle.onnx_inspect import check_self_contained, summarise
+from kinegraph.bundle.contract import TensorSpec, contracts
+from kinegraph.bundle.onnx_inspect import check_self_contained, summarise, with_initializers
 from kinegraph.errors import BundleFormatError
-from support.synthetic_bundle import LEVEL_SPECS, field, filler_model, model, node
+from support.synthetic_bundle import LEVEL_SPECS, field, filler_model, model, node, value_info
 
 CONTRACTS = contracts(LEVEL_SPECS, 12, 137)
 
@@ -169,3 +171,15 @@ def test_models_of_the_onnx_package_are_read() -> None:
     for item in proto.graph.initializer:
         item.data_location = onnx.TensorProto.EXTERNAL
     assert summarise(proto.SerializeToString(), "m.onnx").external_data
+
+
+def test_weights_of_one_file_are_added_to_another() -> None:
+    tensor = field(1, 2) + field(2, 1) + field(8, "w") + field(9, np.array([2.0, 3.0], dtype=np.float32).tobytes())
+    source = model([node("Add", ["x", "w"], ["y"])], initializers=field(5, tensor))
+    vector = value_info(TensorSpec("x", (2,))), value_info(TensorSpec("y", (2,)))
+    graph = model([node("Mul", ["x", "w"], ["y"])], field(11, vector[0]), field(12, vector[1]))
+    session = onnxruntime.InferenceSession(with_initializers(graph, source, "source.onnx"))
+    np.testing.assert_array_equal(session.run(None, {"x": np.array([5.0, 7.0], dtype=np.float32)})[0], [10.0, 21.0])
+    assert with_initializers(graph, model([node("Add", ["x", "x"], ["y"])]), "source.onnx") == graph + field(7, b"")
+    with pytest.raises(BundleFormatError, match=r"source\.onnx is not an ONNX model"):
+        with_initializers(graph, source[:-3], "source.onnx")

@@ -21,8 +21,8 @@ from typing import Final, Literal, Protocol
 from kinegraph.errors import BundleFormatError
 from kinegraph.graph import ROLES
 
-FORMAT_VERSION: Final = 4
-"""Version of the format that is written; `OLDEST_VERSION` on are read."""
+FORMAT_VERSION: Final = 5
+"""Version of the format that is written; `OLDEST_VERSION` on are read. Format 4 has no graphs of constraints."""
 OLDEST_VERSION: Final = 2
 """Format 2 has no coarse decoders and no graphs of adaptive gradient descent."""
 CONTEXT_MIXING_VERSION: Final = 4
@@ -33,6 +33,17 @@ LEVELS: Final[tuple[str, ...]] = ("motion", "action", "specific")
 
 COARSE_DECODERS: Final[Mapping[str, str]] = {level: f"decoder_{level}" for level in LEVELS[:-1]}
 """Level -> graph that decodes its latent for a preview; optional."""
+
+DECODER_GRADIENTS: Final[Mapping[str, str]] = {
+    level: f"{COARSE_DECODERS.get(level, 'decoder')}_vjp" for level in LEVELS
+}
+"""Level -> vector-Jacobian product of its decoder, for constraints; a bundle has all or none.
+
+The file holds the graph alone. Its weights are those of the decoder's file (`onnx_inspect.with_initializers`).
+"""
+
+ENCODER: Final = "encoder"
+"""Encoder of the finest autoencoder, for edits of clips; optional."""
 
 AGD_CONTEXTS: Final[Mapping[str, str]] = {level: f"context_{level}_agd" for level in LEVELS}
 AGD_DENOISERS: Final[Mapping[str, str]] = {level: f"denoiser_{level}_agd" for level in LEVELS}
@@ -280,6 +291,36 @@ def decoder(name: str, level: LevelSpec, features: int) -> GraphContract:
     return GraphContract(name, inputs, (TensorSpec("features", ("B", "L", features)),))
 
 
+def decoder_gradient(name: str, level: LevelSpec, features: int) -> GraphContract:
+    """Declare the vector-Jacobian product of one level's decoder: dE/dz from dE/dfeatures.
+
+    `cotangent` is dE/dfeatures for the normalised features of `decoder`; `gradient` is dE/dlatent.
+
+    Args:
+        name: one of `LEVELS`.
+        level: dimensions of the level.
+        features: F, width of the feature layout.
+    """
+    latent = ("B", level.tokens, level.latent_width)
+    inputs = (
+        TensorSpec("latent", latent),
+        TensorSpec("frame_mask", ("B", "L")),
+        TensorSpec("cotangent", ("B", "L", features)),
+    )
+    return GraphContract(DECODER_GRADIENTS[name], inputs, (TensorSpec("gradient", latent),))
+
+
+def encoder(level: LevelSpec, features: int) -> GraphContract:
+    """Declare the encoder of the finest level: the mean latent, standardised, of normalised motion features.
+
+    Args:
+        level: dimensions of the level.
+        features: F, width of the feature layout.
+    """
+    inputs = (TensorSpec("features", ("B", "L", features)), TensorSpec("frame_mask", ("B", "L")))
+    return GraphContract(ENCODER, inputs, (TensorSpec("latent", ("B", level.tokens, level.latent_width)),))
+
+
 def contracts(
     levels: Mapping[str, LevelSpec], text_width: int, features: int, version: int = FORMAT_VERSION
 ) -> dict[str, GraphContract]:
@@ -301,6 +342,8 @@ def contracts(
         coarse = level
     graphs.append(decoder("decoder", levels[LEVELS[-1]], features))
     graphs += [decoder(graph, levels[level], features) for level, graph in COARSE_DECODERS.items()] + agd_graphs
+    graphs += [decoder_gradient(level, levels[level], features) for level in LEVELS]
+    graphs.append(encoder(levels[LEVELS[-1]], features))
     return {graph.name: replace(graph, version=version) for graph in graphs}
 
 
@@ -428,6 +471,8 @@ GRAPHS: Final[tuple[str, ...]] = (
 OPTIONAL_GRAPHS: Final[tuple[str, ...]] = (
     *COARSE_DECODERS.values(),
     *(names[level] for level in LEVELS for names in (AGD_CONTEXTS, AGD_DENOISERS)),
+    *DECODER_GRADIENTS.values(),
+    ENCODER,
 )
 """Names of all graphs that a bundle may have; each is read at its first use."""
 

@@ -15,7 +15,9 @@ from typing import Final, Literal
 from kinegraph.bundle.contract import (
     AGD_CONTEXTS,
     AGD_DENOISERS,
+    COARSE_DECODERS,
     CONTEXT_MIXING_VERSION,
+    DECODER_GRADIENTS,
     FORMAT_VERSION,
     NODE_KINDS,
     OLDEST_VERSION,
@@ -59,6 +61,7 @@ def optional_graph_files(version: int = FORMAT_VERSION, family: Family = "kinegr
 
     - Without the coarse decoders it shows no clip before the last level is done.
     - Without the graphs of adaptive gradient descent it refuses to compose with `agd`.
+    - Without the gradients of the decoders it refuses constraints; without the encoder, edits of clips.
     """
     return frozenset(graph_file(graph, version) for graph in optional_graphs_of(family))
 
@@ -66,6 +69,11 @@ def optional_graph_files(version: int = FORMAT_VERSION, family: Family = "kinegr
 def agd_files(version: int = FORMAT_VERSION) -> frozenset[str]:
     """List the files of the graphs of adaptive gradient descent, of which a bundle has all or none."""
     return frozenset(graph_file(graph, version) for graph in (*AGD_CONTEXTS.values(), *AGD_DENOISERS.values()))
+
+
+def gradient_files(version: int = FORMAT_VERSION) -> frozenset[str]:
+    """List the files of the decoders' gradients, of which a bundle has all or none."""
+    return frozenset(graph_file(graph, version) for graph in DECODER_GRADIENTS.values())
 
 
 # Records
@@ -472,6 +480,19 @@ def _check_files(manifest: Manifest) -> None:
     all_agd = agd_files(version)
     agd = all_agd & set(files)
     _require(not agd or agd == all_agd, "files", f"has {sorted(agd)}, of {sorted(all_agd)} all or none")
+    all_gradients = gradient_files(version)
+    gradients = all_gradients & set(files)
+    _require(
+        not gradients or gradients == all_gradients,
+        "files",
+        f"has {sorted(gradients)}, of {sorted(all_gradients)} all or none",
+    )
+    decoders = {graph_file(graph, version) for graph in COARSE_DECODERS.values()}
+    _require(
+        not gradients or decoders <= set(files),
+        "files",
+        f"lacks {sorted(decoders - set(files))}, whose weights {sorted(gradients)} take",
+    )
     graphs = sorted(name for name in files if name.endswith(".onnx"))
     _require(
         sorted(operators) == graphs, "operators", f"must have exactly the keys {graphs}, found {sorted(operators)}"

@@ -1,4 +1,4 @@
-"""Inspection of ONNX files without the onnx package: operators, and references to other files.
+"""ONNX files without the onnx package: their operators, references to other files, and weights of one file in another.
 
 Only the protobuf framing is walked; tensor contents are skipped. Field numbers are those of onnx.proto.
 """
@@ -15,6 +15,7 @@ DEFAULT_DOMAIN: Final = "ai.onnx"
 
 _MAX_DEPTH: Final = 64
 _VARINT, _FIXED64, _BYTES, _FIXED32 = 0, 1, 2, 5
+_GRAPH_OF_MODEL, _INITIALIZER_OF_GRAPH = 7, 5
 
 
 @dataclass
@@ -68,6 +69,41 @@ def check_self_contained(data: bytes, name: str) -> None:
         raise BundleFormatError(f"{name} is in the ORT format, whose operators cannot be listed; export it as ONNX")
     if summarise(data, name).external_data:
         raise BundleFormatError(f"{name} keeps tensors in another file; export it with all data inside")
+
+
+def with_initializers(graph: bytes, source: bytes, name: str) -> bytes:
+    """Add the initializers (weights and constants) of one ONNX file to another, whose nodes name them.
+
+    Two protobuf messages in a row parse as one message with the fields of both, so nothing is decoded or copied twice.
+
+    Args:
+        graph: content of the file that lacks them.
+        source: content of the file that has them.
+        name: of the second file, for messages.
+
+    Raises:
+        BundleFormatError: the second file is no ONNX model.
+    """
+    found = bytearray()
+    try:
+        for number, wire, start, stop in _fields(source, 0, len(source)):
+            if (number, wire) != (_GRAPH_OF_MODEL, _BYTES):
+                continue
+            for inner, kind, begin, end in _fields(source, start, stop):
+                if (inner, kind) == (_INITIALIZER_OF_GRAPH, _BYTES):
+                    found += _length_delimited(inner, end - begin) + source[begin:end]
+    except _MalformedError as error:
+        raise BundleFormatError(f"{name} is not an ONNX model: {error}") from None
+    return graph + _length_delimited(_GRAPH_OF_MODEL, len(found)) + bytes(found)
+
+
+def _length_delimited(number: int, length: int) -> bytes:
+    """Encode the head of a field whose content has `length` bytes."""
+    head = bytearray([number << 3 | _BYTES])
+    while length >= 0x80:
+        head.append(length & 0x7F | 0x80)
+        length >>= 7
+    return bytes([*head, length])
 
 
 class _MalformedError(Exception):

@@ -18,10 +18,14 @@ from kinegraph.bundle.contract import (
     AGD_CONTEXTS,
     AGD_DENOISERS,
     COARSE_DECODERS,
+    DECODER_GRADIENTS,
+    ENCODER,
+    LEVELS,
     GraphContract,
     check_signature,
     levels_of,
 )
+from kinegraph.bundle.onnx_inspect import with_initializers
 from kinegraph.bundle.reader import Bundle
 from kinegraph.errors import BundleError, InvalidInputError, KinegraphError, ModelError
 from kinegraph.validation import require_finite, short_repr
@@ -81,11 +85,17 @@ class Sessions:
     """Level -> context encoder for adaptive gradient descent; empty if the bundle has none."""
     denoiser_agd: Mapping[str, LazySession]
     """Level -> denoiser with adaptive gradient descent; empty if the bundle has none."""
+    decoder_gradients: Mapping[str, LazySession]
+    """Level -> vector-Jacobian product of its decoder; empty if the bundle has none."""
+    encoder: LazySession | None
+    """Encoder of the finest level; None if the bundle has none."""
 
     @property
     def lazy(self) -> tuple[LazySession, ...]:
         """All sessions that are opened at their first use."""
-        return (*self.coarse_decoders.values(), *self.context_agd.values(), *self.denoiser_agd.values())
+        by_level = (self.coarse_decoders, self.context_agd, self.denoiser_agd, self.decoder_gradients)
+        of_levels = [session for sessions in by_level for session in sessions.values()]
+        return (*of_levels, *([] if self.encoder is None else [self.encoder]))
 
     def decoder_of(self, level: str) -> onnxruntime.InferenceSession:
         """Return the decoder of a level; the bundle must have one."""
@@ -162,7 +172,7 @@ def open_sessions(
 
     def lazy(graphs: Mapping[str, str], settings: onnxruntime.SessionOptions) -> Mapping[str, LazySession]:
         def at_first_use(contract: GraphContract) -> LazySession:
-            return LazySession(lambda: open_session(bundle.read_optional(contract.file), contract, settings))
+            return LazySession(lambda: open_session(_read_graph(bundle, contract), contract, settings))
 
         present = {level: contracts[graph] for level, graph in graphs.items() if graph in contracts}
         return MappingProxyType({level: at_first_use(contract) for level, contract in present.items()})
@@ -177,7 +187,18 @@ def open_sessions(
         coarse_decoders=lazy(COARSE_DECODERS, wide),
         context_agd=lazy(AGD_CONTEXTS, wide),
         denoiser_agd=lazy(AGD_DENOISERS, narrow),
+        decoder_gradients=lazy(DECODER_GRADIENTS, wide),
+        encoder=lazy({LEVELS[-1]: ENCODER}, wide).get(LEVELS[-1]),
     )
+
+
+def _read_graph(bundle: Bundle, contract: GraphContract) -> bytes:
+    """Read the file of an optional graph; a decoder's gradient takes the weights of the decoder's file."""
+    data = bundle.read_optional(contract.file)
+    if contract.name not in DECODER_GRADIENTS.values():
+        return data
+    decoder = bundle.manifest.contracts[contract.name.removesuffix("_vjp")].file
+    return with_initializers(data, bundle.read_optional(decoder), decoder)
 
 
 def open_session(

@@ -19,7 +19,7 @@ from typing import Final
 
 import numpy as np
 
-from kinegraph.arrays import FloatArray
+from kinegraph.arrays import DoubleArray, FloatArray, Floats
 from kinegraph.motion.skeleton import FEET, HORIZONTAL, JOINTS, facing_angle
 
 YAW_VELOCITY: Final = slice(0, 1)
@@ -77,7 +77,7 @@ def features_from_joints(joints: FloatArray) -> FloatArray:
     return rows.astype(np.float32)
 
 
-def joints_from_features(features: FloatArray, *, heading: float = 0.0) -> FloatArray:
+def joints_from_features(features: Floats, *, heading: float = 0.0) -> FloatArray:
     """Convert features to the joints of a clip that starts at the origin.
 
     Integrates yaw and root velocity over time; local positions are rotated back by the heading.
@@ -104,6 +104,49 @@ def joints_from_features(features: FloatArray, *, heading: float = 0.0) -> Float
     joints[:, 1:, 1] = local[..., 1]
     joints[:, 1:, 2] = -sin[:, None] * local[..., 0] + cos[:, None] * local[..., 2] + root[:, 1:]
     return joints.astype(np.float32)
+
+
+def joints_vjp(features: Floats, cotangent: Floats) -> DoubleArray:
+    """Carry a gradient back through `joints_from_features` with heading 0: dE/djoints -> dE/dfeatures.
+
+    With w = R(angle) local, the part of a joint that turns with the body: d(w_x, w_z) / d(angle) = (w_z, -w_x), and the
+    same for steps of the root. Sums over time become sums over the frames after. Velocities and contacts get 0, for
+    joints do not depend on them.
+
+    Args:
+        features: (frames, 137), not normalised.
+        cotangent: (frames, 22, 3), dE/djoints.
+
+    Returns:
+        (frames, 137), dE/dfeatures.
+    """
+    features = np.asarray(features, dtype=np.float64)
+    frames = len(features)
+    angle = np.concatenate([[0.0], np.cumsum(features[:-1, 0])])
+    cos, sin = np.cos(angle)[:, None], np.sin(angle)[:, None]
+    local = features[:, POSITIONS].reshape(frames, JOINTS - 1, 3)
+    turned = np.concatenate([features[:, None, 1:3], local[..., [0, 2]]], axis=1)  # root velocity, then joints
+    turned_x, turned_z = cos * turned[..., 0] + sin * turned[..., 1], cos * turned[..., 1] - sin * turned[..., 0]
+    # the step of a frame moves the root of all frames after it
+    of_root = _sum_after(cotangent[..., [0, 2]].sum(axis=1))
+    along_x = np.concatenate([of_root[:, :1], cotangent[:, 1:, 0]], axis=1)
+    along_z = np.concatenate([of_root[:, 1:], cotangent[:, 1:, 2]], axis=1)
+    left, forward = cos * along_x - sin * along_z, sin * along_x + cos * along_z
+    of_angle = (along_x * turned_z - along_z * turned_x).sum(axis=1)
+    gradient = np.zeros((frames, WIDTH))
+    gradient[:, 0] = _sum_after(of_angle)
+    gradient[:, 1], gradient[:, 2] = left[:, 0], forward[:, 0]
+    gradient[:, 3] = cotangent[:, 0, 1]
+    positions = np.stack([left[:, 1:], cotangent[:, 1:, 1], forward[:, 1:]], axis=-1)
+    gradient[:, POSITIONS] = positions.reshape(frames, -1)
+    return gradient
+
+
+def _sum_after(values: Floats) -> Floats:
+    """Sum the frames after each frame: the transpose of a sum over the frames before."""
+    later = np.zeros_like(values)
+    later[:-1] = np.cumsum(values[:0:-1], axis=0)[::-1]
+    return later
 
 
 def normalisation(clips: list[FloatArray]) -> tuple[FloatArray, FloatArray]:
