@@ -20,6 +20,7 @@ from kinegraph.unknown import Unknown
 from kinegraph.validation import check_flag, check_fps, short_repr
 
 if TYPE_CHECKING:
+    from kinegraph.constraints import Miss
     from kinegraph.formats.character import Character, CharacterClip
 
 
@@ -57,6 +58,9 @@ class Clip:
 
     notes: tuple[str, ...] = ()
     """What of the text could not be honoured, a sentence each."""
+
+    misses: tuple[Miss, ...] = ()
+    """How far the clip is from each constraint that it was made under, in their order; files do not store it."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "joints", _validate_joints(self.joints))

@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property, wraps
 from operator import itemgetter
 from pathlib import Path
-from typing import ParamSpec, TypeVar
+from typing import TYPE_CHECKING, ParamSpec, TypeVar
 
 import onnxruntime
 
@@ -32,6 +32,7 @@ from kinegraph.concepts import CompositionSpec, Concept, SamplingPlan, validate_
 from kinegraph.conditioning import ConditionEncoder, Conditions, GraphArrays, repeat_rows
 from kinegraph.decoding import MotionDecoder
 from kinegraph.denoising import LatentSampler, OnLatent
+from kinegraph.diffusion.composition import CompositionWeights
 from kinegraph.diffusion.sampling import OnStep, subrange_progress
 from kinegraph.errors import InvalidInputError, ModelError, UnknownWordsError
 from kinegraph.graph import SemanticGraph
@@ -57,6 +58,10 @@ from kinegraph.text.tokenizer import CaptionTokenizer
 from kinegraph.text.vocabulary import find_unknown
 from kinegraph.unknown import Unknown, describe_unknown
 from kinegraph.validation import check_callback, check_flag, short_repr
+
+if TYPE_CHECKING:
+    from kinegraph.constrained_denoising import Wanted
+    from kinegraph.constraints import Constraint
 
 OnLevel = Callable[[str, Clip], None]
 """Called after a level of `contract.COARSE_DECODERS`, with its name and the clip as far as it has come."""
@@ -234,6 +239,9 @@ class MotionPipeline:
         steps: Steps | None = None,
         guidance: Guidance | None = None,
         foot_fix: bool = True,
+        constraints: Sequence[Constraint] | None = None,
+        constraint_weight: float = 1.0,
+        constraint_fix: bool = True,
         strict: bool = False,
         timeout: float | None = None,
         on_step: OnStep | None = None,
@@ -253,7 +261,12 @@ class MotionPipeline:
             steps: diffusion steps, one number or one per level.
             guidance: guidance scale (Eq. A), one number or one per level.
             foot_fix: lock standing feet where they stand (`motion.postprocess.lock_feet`).
-            strict: refuse words that the bundle was never shown (`find_unknown`); without it the clip names them.
+            constraints: what the clip has to do besides (`kinegraph.constraints`): paths, places of joints, poses. The
+                clip tells how far it is from each (`Clip.misses`). Actions in order are then sampled at once.
+            constraint_weight: of all constraints against the text, 0 to 100; 0 is the clip without them, bit for bit.
+            constraint_fix: close in the joints what the model leaves of the way (`motion.reaching`).
+            strict: refuse words that the bundle was never shown (`find_unknown`), constraints that nobody can meet, and
+                those missed by 5 cm; without it the clip names them.
             timeout: seconds that the call may take, checked between sentences and after every step; None is no limit.
             on_step: called after every step with a `StepInfo`; returning False stops with `Cancelled`.
             on_level: called with each coarser level and the clip as far as it has come, where the bundle can decode it;
@@ -270,14 +283,18 @@ class MotionPipeline:
         options = resolve_options(
             self.manifest, seconds=seconds, seed=seed, steps=steps, guidance=guidance, foot_fix=foot_fix
         )
+        wanted = self._check_constraints(constraints, constraint_weight, constraint_fix, strict=strict)
         # 2. Text -> graph; what it asks for: words, lengths, negations, weighted edges (Eq. 7, 8)
         graph = self.as_graph(text)
         unknown = self.find_unknown(graph, strict=strict)
         # 3. Text encoder and graph attention (Eq. 1-3); the sentence may tell the length
-        encoded = self._encode_sentence(graph, options, own_length=seconds is None, is_known=not unknown)
+        encoded = self._encode_sentence(
+            graph, options, own_length=seconds is None, is_known=not unknown, in_order=wanted is None
+        )
         deadline.check()
         # 4. Motion -> action -> specific latent; 5. latents -> features -> joints -> clip
-        return replace(self._make_clip(encoded, options.seed, deadline.watch(on_step), on_level), unknown=unknown)
+        clip = self._make_clip(encoded, options.seed, deadline.watch(on_step), on_level, wanted)
+        return replace(clip, unknown=unknown)
 
     def takes(
         self,
@@ -289,6 +306,9 @@ class MotionPipeline:
         steps: Steps | None = None,
         guidance: Guidance | None = None,
         foot_fix: bool = True,
+        constraints: Sequence[Constraint] | None = None,
+        constraint_weight: float = 1.0,
+        constraint_fix: bool = True,
         shared_run: bool = False,
         strict: bool = False,
         timeout: float | None = None,
@@ -303,6 +323,9 @@ class MotionPipeline:
             steps=steps,
             guidance=guidance,
             foot_fix=foot_fix,
+            constraints=constraints,
+            constraint_weight=constraint_weight,
+            constraint_fix=constraint_fix,
             shared_run=shared_run,
             strict=strict,
             timeout=timeout,
@@ -320,6 +343,9 @@ class MotionPipeline:
         steps: Steps | None = None,
         guidance: Guidance | None = None,
         foot_fix: bool = True,
+        constraints: Sequence[Constraint] | None = None,
+        constraint_weight: float = 1.0,
+        constraint_fix: bool = True,
         shared_run: bool = False,
         strict: bool = False,
         timeout: float | None = None,
@@ -334,6 +360,7 @@ class MotionPipeline:
             takes: of each; `limits.MAX_TAKES` clips at most in all.
             seconds: one length, one per sentence, or None for what each asks for.
             seed, steps, guidance, foot_fix, strict, timeout: as in `generate`.
+            constraints, constraint_weight, constraint_fix: of every clip, as in `generate`; not in a shared run.
             shared_run: let up to 32 clips share the runs of the models: faster. Sums of a larger run are rounded in
                 another order, so a clip then equals that of `generate` to 0.1 mm in an fp32 bundle only; in an int8
                 bundle one scale spans a run, and clips differ by `batch_mm` of the manifest's parity on average.
@@ -346,6 +373,9 @@ class MotionPipeline:
         """
         deadline = _check_call(timeout, on_step, strict=strict, shared_run=shared_run)
         on_step = deadline.watch(on_step)
+        wanted = self._check_constraints(constraints, constraint_weight, constraint_fix, strict=strict)
+        if shared_run and wanted is not None:
+            raise InvalidInputError("clips that share one run cannot have constraints; leave out shared_run")
         lengths = validate_lengths(texts, seconds, MAX_TAKES, "a batch")
         options = [
             resolve_options(self.manifest, seconds=length, seed=seed, steps=steps, guidance=guidance, foot_fix=foot_fix)
@@ -355,14 +385,18 @@ class MotionPipeline:
         graphs = [self.as_graph(text) for text in deadline.each(texts)]
         unknown = self._unknown_of_each(graphs, strict)
         sentences = [
-            self._encode_sentence(graph, option, own_length=length is None, is_known=not words, in_order=not shared_run)
+            self._encode_sentence(
+                graph, option, own_length=length is None, is_known=not words, in_order=not shared_run and wanted is None
+            )
             for graph, option, length, words in deadline.each(zip(graphs, options, lengths, unknown, strict=True))
         ]
         if shared_run:
             clips = self._make_together(sentences, seeds, takes, on_step)
         else:
             clips = [
-                self._make_clip(sentences[index // takes], value, subrange_progress(on_step, index, len(seeds)))
+                self._make_clip(
+                    sentences[index // takes], value, subrange_progress(on_step, index, len(seeds)), wanted=wanted
+                )
                 for index, value in enumerate(seeds)
             ]
         return [replace(clip, unknown=unknown[index // takes]) for index, clip in enumerate(clips)]
@@ -436,6 +470,9 @@ class MotionPipeline:
         steps: Steps | None = None,
         guidance: Guidance | None = None,
         foot_fix: bool = True,
+        constraints: Sequence[Constraint] | None = None,
+        constraint_weight: float = 1.0,
+        constraint_fix: bool = True,
         strict: bool = False,
         timeout: float | None = None,
         on_step: OnStep | None = None,
@@ -454,8 +491,8 @@ class MotionPipeline:
             agd: step sizes (gamma_attn, gamma_reg) of adaptive gradient descent (Eq. 3, 4), each 0 to 1: EnergyMoGen
                 has (0.0004, 0.0004) for several concepts and (0.001, 0.002) for one sentence of several; the default
                 bundle does best with (0.1, 0.1). None is off.
-            seconds, seed, steps, guidance, foot_fix, strict, timeout, on_step, on_level: as in `generate`; negated
-                concepts count for `strict`, too.
+            seconds, seed, steps, guidance, foot_fix, constraints, constraint_weight, constraint_fix, strict, timeout,
+                on_step, on_level: as in `generate`; negated concepts count for `strict`, too.
 
         Raises:
             InvalidInputError: a concept, weight or option is outside what can be composed, or the bundle has no
@@ -467,15 +504,17 @@ class MotionPipeline:
         options = resolve_options(
             self.manifest, seconds=seconds, seed=seed, steps=steps, guidance=guidance, foot_fix=foot_fix
         )
+        wanted = self._check_constraints(constraints, constraint_weight, constraint_fix, strict=strict)
         named = [concept.text for concept in (*spec.concepts, *spec.negated)]
         unknown = self.find_unknown(*named, *([] if text is None else [text]), strict=strict)
         conditions, plan, options = self.encode_composition(spec, options, own_length=seconds is None)
         deadline.check()
         caption = spec.joint.caption if isinstance(spec.joint, SemanticGraph) else spec.joint
         on_latent = self._on_latent(on_level, options, caption)
-        latents = self.sampler.sample(conditions, plan.weights, [options], deadline.watch(on_step), on_latent)
         notes = tuple(dict.fromkeys(note for graph in plan.graphs for note in self.encoder.left_out(graph)))
-        return replace(self.decoder.decode(latents, [options], [caption])[0], unknown=unknown, notes=notes)
+        watch = deadline.watch(on_step)
+        clip = self._decode_sample(conditions, plan.weights, options, caption, wanted, watch, on_latent)
+        return replace(clip, unknown=unknown, notes=(*notes, *clip.notes))
 
     def encode_composition(
         self, spec: CompositionSpec, options: GenerateOptions, *, own_length: bool
@@ -574,7 +613,12 @@ class MotionPipeline:
         return _EncodedSentence(graph, tuple(map(_EncodedPart.with_options, parts, shares)))
 
     def _make_clip(
-        self, sentence: _EncodedSentence, seed: int, on_step: OnStep | None = None, on_level: OnLevel | None = None
+        self,
+        sentence: _EncodedSentence,
+        seed: int,
+        on_step: OnStep | None = None,
+        on_level: OnLevel | None = None,
+        wanted: Wanted | None = None,
     ) -> Clip:
         """Sample and decode an encoded sentence."""
         if len(sentence.parts) > 1:
@@ -583,8 +627,8 @@ class MotionPipeline:
         else:
             (part,) = sentence.parts
             on_latent = self._on_latent(on_level, part.options, sentence.graph.caption)
-            clip = self._sample(part, seed, on_step, on_latent)
-        return replace(clip, graph=sentence.graph, notes=sentence.notes)
+            clip = self._sample(part, seed, on_step, on_latent, wanted)
+        return replace(clip, graph=sentence.graph, notes=(*sentence.notes, *clip.notes))
 
     def _make_parts(self, parts: Sequence[tuple[_EncodedPart, int]], on_step: OnStep | None) -> Clip:
         """Sample parts, each with its seed and as much longer as the blends need, and stitch them."""
@@ -602,13 +646,51 @@ class MotionPipeline:
         return replace(clips[0], joints=joints, graph=None)
 
     def _sample(
-        self, part: _EncodedPart, seed: int, on_step: OnStep | None = None, on_latent: OnLatent | None = None
+        self,
+        part: _EncodedPart,
+        seed: int,
+        on_step: OnStep | None = None,
+        on_latent: OnLatent | None = None,
+        wanted: Wanted | None = None,
     ) -> Clip:
         """Sample latents for one graph and decode them."""
         weights = None if part.plan.is_plain else part.plan.weights
         options = replace(part.options, seed=seed)
-        latents = self.sampler.sample(part.conditions, weights, [options], on_step, on_latent)
-        return replace(self.decoder.decode(latents, [options], [part.graph.caption])[0], graph=part.graph)
+        caption = part.graph.caption
+        clip = self._decode_sample(part.conditions, weights, options, caption, wanted, on_step, on_latent)
+        return replace(clip, graph=part.graph)
+
+    def _decode_sample(
+        self,
+        conditions: Conditions,
+        weights: CompositionWeights | None,
+        options: GenerateOptions,
+        caption: str,
+        wanted: Wanted | None,
+        on_step: OnStep | None,
+        on_latent: OnLatent | None,
+    ) -> Clip:
+        """Sample one clip and decode it, under constraints if there are any."""
+        if wanted is None:
+            latents = self.sampler.sample(conditions, weights, [options], on_step, on_latent)
+            return self.decoder.decode(latents, [options], [caption])[0]
+        from kinegraph.constrained_denoising import sample_constrained
+
+        fitting = wanted.for_clip(options.frames, self.manifest.fps)
+        stages = (self.sampler, self.decoder)
+        return sample_constrained(*stages, conditions, weights, options, caption, fitting, on_step, on_latent)
+
+    def _check_constraints(self, constraints: object, weight: object, fix: object, *, strict: bool) -> Wanted | None:
+        """Check constraints as far as that goes without a clip; None where there are none, and then nothing is loaded.
+
+        Raises:
+            InvalidInputError: see `constrained_denoising.Wanted.check`.
+        """
+        if constraints is None or (isinstance(constraints, list | tuple) and not constraints):
+            return None
+        from kinegraph.constrained_denoising import Wanted
+
+        return Wanted.check(constraints, weight, fix, strict, self.sampler)
 
     def _make_together(
         self, sentences: Sequence[_EncodedSentence], seeds: Sequence[int], takes: int, on_step: OnStep | None

@@ -71,12 +71,38 @@ def enforce_bone_lengths(joints: FloatArray, lengths: FloatArray | None) -> Floa
         bones = solved[:, _CHILD] - solved[:, _PARENT]
         length = np.maximum(np.linalg.norm(bones, axis=-1, keepdims=True), _MIN_LENGTH)
         solved += _CORRECTION_SHARES @ (bones * (1.0 - target / length))
-    # exact pass: keep the directions, set the lengths, and add up from the pelvis
-    bones = solved[:, _CHILD] - solved[:, _PARENT]
+    return _set_lengths(solved, target)
+
+
+def bend_to_lengths(joints: Floats, lengths: Floats, held: NDArray[np.bool_], iterations: int) -> Floats:
+    """Project poses onto rigid bones as `enforce_bone_lengths` does, with some joints held where they are.
+
+    The exact pass at the end may move these by what the iterations leave.
+
+    Args:
+        joints: (frames, 22, 3) metres.
+        lengths: (21,) metres.
+        held: (frames, 22, 3) axes of joints that do not yield.
+        iterations: of position-based dynamics.
+
+    Returns:
+        (frames, 22, 3) metres.
+    """
+    solved, target = joints.copy(), lengths[:, None]
+    for _ in range(iterations):
+        bones = solved[:, _CHILD] - solved[:, _PARENT]
+        length = np.maximum(np.linalg.norm(bones, axis=-1, keepdims=True), _MIN_LENGTH)
+        solved += np.where(held, 0.0, _CORRECTION_SHARES @ (bones * (1.0 - target / length)))
+    return _set_lengths(solved, target)
+
+
+def _set_lengths(joints: Floats, target: Floats) -> Floats:
+    """Keep the directions of bones, set their lengths (21, 1), and add up from the pelvis; changes the joints."""
+    bones = joints[:, _CHILD] - joints[:, _PARENT]
     bones *= target / np.maximum(np.linalg.norm(bones, axis=-1, keepdims=True), _MIN_LENGTH)
     for child, parent in zip(_CHILD, _PARENT, strict=True):
-        solved[:, child] = solved[:, parent] + bones[:, child - 1]
-    return solved
+        joints[:, child] = joints[:, parent] + bones[:, child - 1]
+    return joints
 
 
 def _correction_shares() -> FloatArray:

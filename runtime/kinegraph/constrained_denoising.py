@@ -1,0 +1,349 @@
+"""Second stage under constraints: the energy of what a clip has to do pulls its latents at every step.
+
+EnergyMoGen composes by adding energies to a latent's (Eq. 6-8); a constraint is one more. At every step of every level,
+with a = alpha_bar, z_0 = (z_t - sqrt(1 - a) eps) / sqrt(a) the predicted clean latent and g = dE_c / dz_0:
+
+    eps <- eps + sqrt(a / (1 - a)) w s g
+
+which moves z_0 by -w s g (classifier guidance, Dhariwal & Nichol, 2021, Alg. 2, on the clean estimate, as in DPS: Chung
+et al., 2023, Eq. 16). g goes through the decoder of the level (its vector-Jacobian product, a graph of the bundle) and
+the integration of the root (`motion.features`). s is Polyak's step, and bounded (`MAX_PULL`).
+
+After the finest level the latent itself descends the energy (`diffusion.descent`), held to where it started.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Final
+
+import numpy as np
+
+from kinegraph.arrays import DoubleArray, FloatArray, Floats
+from kinegraph.bundle.contract import LEVELS
+from kinegraph.bundle.manifest import Manifest
+from kinegraph.bundle.sessions import Sessions, run_model
+from kinegraph.clip import Clip
+from kinegraph.conditioning import Conditions
+from kinegraph.constraints import Constraint
+from kinegraph.decoding import MotionDecoder
+from kinegraph.denoising import LatentSampler, OnLatent, sample_hierarchy
+from kinegraph.diffusion.composition import CompositionWeights
+from kinegraph.diffusion.constraint_energy import Term, constraint_terms, total_energy
+from kinegraph.diffusion.descent import Limits, descend
+from kinegraph.diffusion.sampling import DdimCoefficients, OnStep, PredictNoise, StepInfo, is_stop
+from kinegraph.errors import Cancelled, InvalidInputError
+from kinegraph.feasibility import check_constraints
+from kinegraph.limits import MAX_WEIGHT
+from kinegraph.motion.energies import TOES, Energy, floor_energy, stance_energy
+from kinegraph.motion.features import joints_from_features, joints_vjp
+from kinegraph.motion.postprocess import enforce_bone_lengths, find_contacts, lock_feet
+from kinegraph.motion.reaching import reach
+from kinegraph.motion.skeleton import bone_lengths
+from kinegraph.options import GenerateOptions
+from kinegraph.placements import misses_of, pins_of
+from kinegraph.validation import check_flag, finite_number, short_repr
+
+MAX_PULL: Final = 0.5
+"""Largest root mean square by which one step moves the clean latent, whose channels have a deviation of 1."""
+MAX_LATENT: Final = 1.3
+"""Largest root mean square of a pulled latent: further out the decoder knows no motion, whatever is wanted."""
+DESCENT_STEPS: Final = 14
+"""Steps of the descent on the finest latent; they count as steps of the call."""
+MAX_AWAY: Final = 0.8
+"""Largest root mean square by which the descent moves the latent."""
+CLOSE: Final = 0.008
+"""Metres, root mean square of a constraint of weight 1: so near, the descent ends."""
+HOLD: Final = 0.005
+"""How strongly the descent holds the latent to where diffusion left it, m^2."""
+STANCE_WEIGHT: Final = 2.0
+"""Weight of planted feet that slide, and of feet under the floor, in the descent."""
+REACHING_ROUNDS: Final = 2
+"""Corrections in the joints: the first moves what the places of `EndPose` and `Loop` depend on."""
+MISSED: Final = 0.05
+"""Metres from which a miss is told in the clip's notes."""
+
+
+@dataclass(frozen=True)
+class Wanted:
+    """What one call wants besides its sentence, checked as far as that goes without a clip."""
+
+    constraints: tuple[Constraint, ...]
+    weight: float
+    """Of all constraints against the text."""
+    fix: bool
+    """Whether the joints are corrected after the last latent (`motion.reaching`)."""
+    strict: bool
+    notes: tuple[str, ...] = ()
+    further: Callable[[int], tuple[Term, ...]] | None = field(default=None)
+    """More terms for a clip of so many frames."""
+
+    @staticmethod
+    def check(constraints: object, weight: object, fix: object, strict: bool, sampler: LatentSampler) -> Wanted:
+        """Check everything that needs no clip.
+
+        Raises:
+            InvalidInputError: no constraints, a weight that is none, or a bundle without gradients of its decoders.
+        """
+        manifest = sampler.manifest
+        check_flag(fix, "constraint_fix")
+        number = finite_number(weight)
+        if number is None or not 0 <= number <= MAX_WEIGHT:
+            raise InvalidInputError(
+                f"constraint_weight must be 0 to {MAX_WEIGHT:g}, not {short_repr(weight)}; 1 is usual, 0 is without"
+            )
+        checked, _ = check_constraints(constraints, manifest.frames.max, manifest.fps)
+        if not sampler.sessions.decoder_gradients:
+            raise InvalidInputError(
+                f"bundle {manifest.name} {manifest.version} has no gradients of its decoders, which constraints need; "
+                "leave them out, or add the graphs: python -m kinegraph_export.add_gradients"
+            )
+        if manifest.features.layout != "joints-137":
+            raise InvalidInputError(
+                f"constraints need features of the layout joints-137, not {manifest.features.layout}"
+            )
+        return Wanted(checked, number, bool(fix), strict)
+
+    def for_clip(self, frames: int, fps: float) -> Wanted:
+        """Check the constraints against the length of the clip; see `feasibility.check_constraints`."""
+        checked, notes = check_constraints(self.constraints, frames, fps, strict=self.strict)
+        return replace(self, constraints=checked, notes=notes)
+
+    @property
+    def acts(self) -> bool:
+        """Whether anything pulls: weights of 0 are a clip without constraints, bit for bit."""
+        return self.weight > 0 and any(constraint.weight > 0 for constraint in self.constraints)
+
+
+def sample_constrained(
+    sampler: LatentSampler,
+    decoder: MotionDecoder,
+    conditions: Conditions,
+    weights: CompositionWeights | None,
+    options: GenerateOptions,
+    caption: str,
+    wanted: Wanted,
+    on_step: OnStep | None = None,
+    on_latent: OnLatent | None = None,
+) -> Clip:
+    """Sample, decode and correct one clip under constraints.
+
+    Args:
+        sampler, decoder: of the bundle.
+        conditions, weights: as in `LatentSampler.sample`; one sample.
+        options: of the clip.
+        caption: of the clip.
+        wanted: its constraints, checked for its length.
+        on_step: called after every step, those of the descent included.
+        on_latent: see `denoising.sample_hierarchy`.
+
+    Raises:
+        Cancelled, NonFiniteError: as in `denoising.sample_hierarchy`.
+        InvalidInputError: with `strict`, a constraint was missed by more than `MISSED`.
+    """
+    fps = sampler.manifest.fps
+    if wanted.acts:
+        joints = _sample_joints(sampler, decoder, conditions, weights, options, wanted, on_step, on_latent)
+    else:
+        latents = sampler.sample(conditions, weights, [options], on_step, on_latent)
+        joints = decoder.decode(latents, [options], [caption])[0].joints
+    misses = misses_of(wanted.constraints, joints.astype(np.float64), fps)
+    missed = tuple(
+        f"{miss.what}: missed by {100 * miss.metres:.0f} cm"
+        for miss, constraint in zip(misses, wanted.constraints, strict=True)
+        if miss.metres > MISSED and constraint.weight > 0 and wanted.weight > 0
+    )
+    if missed and wanted.strict:
+        raise InvalidInputError(f"{missed[0]}; change it, or leave out strict to come as near as it goes")
+    bundle = f"{sampler.manifest.name} {sampler.manifest.version}"
+    return Clip(joints, fps, options.seed, caption, bundle, notes=(*wanted.notes, *missed), misses=misses)
+
+
+def _sample_joints(
+    sampler: LatentSampler,
+    decoder: MotionDecoder,
+    conditions: Conditions,
+    weights: CompositionWeights | None,
+    options: GenerateOptions,
+    wanted: Wanted,
+    on_step: OnStep | None,
+    on_latent: OnLatent | None,
+) -> FloatArray:
+    """Sample latents under constraints, descend on the finest one, decode it, and correct the joints."""
+    manifest, frames = sampler.manifest, options.frames
+    fps = manifest.fps
+    further = () if wanted.further is None else wanted.further(frames)
+    leading = (*constraint_terms(wanted.constraints, frames, fps, leading=True), *further)
+    alpha_bar = sampler.schedule.alphas_cumprod
+
+    def make_predictor(level: str, ddim: DdimCoefficients, coarse: FloatArray | None) -> PredictNoise:
+        predict = sampler.predictor(conditions, weights, [options], level, ddim, coarse)
+        energy = DecodedEnergy(sampler.sessions, manifest, level, frames, leading)
+        return ConstrainedPrediction(predict, energy, alpha_bar[ddim.timesteps], wanted.weight)
+
+    progress = _Progress(on_step)
+    noise, levels = sampler.initial_noise([options]), sampler.level_plans(options)
+    latents = sample_hierarchy(levels, noise, make_predictor, sampler.schedule, progress.diffused, on_latent)[-1]
+    terms = (*constraint_terms(wanted.constraints, frames, fps), *further)
+    energy = DecodedEnergy(sampler.sessions, manifest, LEVELS[-1], frames, terms)
+    standing = replace(energy, terms=(*terms, *_standing(joints_from_features(energy.decode(latents)), fps)))
+    limits = Limits(
+        steps=DESCENT_STEPS,
+        hold=HOLD / max(wanted.weight, 1e-3),
+        away=MAX_AWAY,
+        enough=0.5 * CLOSE**2 * sum(constraint.weight for constraint in wanted.constraints),
+    )
+    latents = descend(standing, latents, limits, progress.descended)
+    progress.finished()
+    joints = enforce_bone_lengths(joints_from_features(energy.decode(latents)), decoder.bones)
+    return (
+        corrected(joints, wanted.constraints, fps, foot_fix=options.foot_fix)
+        if wanted.fix
+        else _locked(joints, fps, options.foot_fix)
+    )
+
+
+def corrected(joints: FloatArray, constraints: Sequence[Constraint], fps: float, *, foot_fix: bool) -> FloatArray:
+    """Close what the latent leaves of the way to the constraints, in the joints (`motion.reaching`).
+
+    Args:
+        joints: (frames, 22, 3) metres, with rigid bones.
+        constraints: of the clip.
+        fps: frames per second.
+        foot_fix: lock planted feet.
+    """
+    lengths = np.median(bone_lengths(joints), axis=0)
+    for _ in range(REACHING_ROUNDS):
+        joints = reach(joints, pins_of(constraints, joints.astype(np.float64), fps), lengths, fps, foot_fix=foot_fix)
+    return joints
+
+
+def _locked(joints: FloatArray, fps: float, foot_fix: bool) -> FloatArray:
+    return lock_feet(joints, fps) if foot_fix else joints
+
+
+def _standing(joints: FloatArray, fps: float) -> tuple[Term, ...]:
+    """Make the energy of feet that stand where they stood, and not under the floor."""
+    planted = np.zeros((len(joints) - 1, len(TOES)))
+    weight = STANCE_WEIGHT / len(joints)
+    for index, toe in enumerate(TOES):
+        for start, end in find_contacts(joints[:, toe].astype(np.float64), fps):
+            planted[start : end - 1, index] = weight
+
+    def stance(moved: Floats) -> Energy:
+        return stance_energy(moved, planted)
+
+    def floor(moved: Floats) -> Energy:
+        return floor_energy(moved, weight)
+
+    return stance, floor
+
+
+@dataclass
+class _Progress:
+    """Reports the steps of diffusion and of the descent as those of one run."""
+
+    on_step: OnStep | None
+    last: StepInfo | None = None
+
+    def diffused(self, info: StepInfo) -> bool | None:
+        """Report a diffusion step; the steps of the descent are still to come."""
+        self.last = replace(info, total=info.total + DESCENT_STEPS)
+        return None if self.on_step is None else self.on_step(self.last)
+
+    reported: int = 0
+
+    def finished(self) -> None:
+        """Report the last step, where the descent ended before."""
+        if self.reported < DESCENT_STEPS:
+            self.descended(DESCENT_STEPS)
+
+    def descended(self, number: int) -> None:
+        """Report a step of the descent.
+
+        Raises:
+            Cancelled: the caller said so.
+        """
+        self.reported = number
+        if self.on_step is None or self.last is None:
+            return
+        done = self.last.done + number
+        info = StepInfo("constraints", number, DESCENT_STEPS, done, self.last.total, 0)
+        if is_stop(self.on_step(info)):
+            raise Cancelled(f"stopped by on_step at step {done} of {self.last.total}")
+
+
+@dataclass(frozen=True)
+class DecodedEnergy:
+    """Energy of a level's latent, through its decoder, of one sample."""
+
+    sessions: Sessions
+    manifest: Manifest
+    level: str
+    frames: int
+    terms: Sequence[Term]
+
+    def decode(self, latent: FloatArray) -> DoubleArray:
+        """Decode a latent (1, C, z) to features (frames, F), not normalised."""
+        inputs = {"latent": latent, "frame_mask": self._mask()}
+        (features,) = run_model(self.sessions.decoder_of(self.level), ["features"], inputs, "the decoder")
+        mean, std = np.array(self.manifest.features.mean), np.array(self.manifest.features.std)
+        return np.asarray(features[0, : self.frames] * std + mean)
+
+    def __call__(self, latent: FloatArray) -> tuple[float, FloatArray]:
+        """Compute the energy of a latent (1, C, z) and its gradient (1, C, z)."""
+        features = self.decode(latent)
+        energy, of_joints = total_energy(self.terms, joints_from_features(features).astype(np.float64))
+        mask = self._mask()
+        cotangent = np.zeros((1, mask.shape[1], features.shape[1]), dtype=np.float32)
+        cotangent[0, : self.frames] = joints_vjp(features, of_joints) * np.array(self.manifest.features.std)
+        inputs = {"latent": latent, "frame_mask": mask, "cotangent": cotangent}
+        session = self.sessions.decoder_gradients[self.level]()
+        (gradient,) = run_model(session, ["gradient"], inputs, "the gradient of the decoder")
+        return energy, gradient
+
+    def _mask(self) -> FloatArray:
+        group = self.manifest.frames.per_token
+        mask = np.zeros((1, -(-self.frames // group) * group), dtype=np.float32)
+        mask[0, : self.frames] = 1.0
+        return mask
+
+
+@dataclass(frozen=True)
+class ConstrainedPrediction:
+    """A level's noise prediction with the pull of constraints; a `PredictNoise`."""
+
+    predict: PredictNoise
+    energy: DecodedEnergy
+    alpha_bar: DoubleArray
+    """(K,) at the steps."""
+    weight: float
+
+    def __call__(self, latents: FloatArray, index: int) -> FloatArray:
+        noise = self.predict(latents, index)
+        if index == 0 and len(self.alpha_bar) > 1:
+            return noise  # the clean estimate is noise yet: a pull here changes nothing that later ones do not
+        alpha = float(self.alpha_bar[index])
+        clean = ((latents - np.sqrt(1.0 - alpha) * noise) / np.sqrt(alpha)).astype(np.float32)
+        pulled = clean - np.float32(self.weight) * polyak_pull(*self.energy(clean))
+        pulled *= min(1.0, max(MAX_LATENT, _size(clean)) / max(_size(pulled), 1e-12))
+        return np.asarray(noise + np.float32(np.sqrt(alpha / (1.0 - alpha))) * (clean - pulled), dtype=np.float32)
+
+
+def _size(latents: FloatArray) -> float:
+    """Compute the root mean square."""
+    return float(np.sqrt((latents.astype(np.float64) ** 2).mean()))
+
+
+def polyak_pull(energy: float, gradient: FloatArray) -> FloatArray:
+    """Scale a gradient to the step after which a half square that is linear would be 0, at most `MAX_PULL` in rms.
+
+    Of E = r^2 / 2 with r linear along the gradient it is 2 E / |g|^2 g (Polyak, 1987, Eq. 5.38).
+    """
+    square = float((gradient.astype(np.float64) ** 2).sum())
+    if square <= 0:
+        return np.zeros_like(gradient)
+    step = 2.0 * energy / square
+    root_mean_square = step * np.sqrt(square / gradient.size)
+    return np.asarray(gradient * np.float32(step * min(1.0, MAX_PULL / max(root_mean_square, 1e-12))), dtype=np.float32)

@@ -1,0 +1,127 @@
+"""Descend an energy of a latent: L-BFGS (Liu & Nocedal, 1989; Nocedal & Wright, 2006, Algorithm 7.4).
+
+Chosen by measurement on the bundle studio, over constraints of all kinds: after 17 evaluations the error is half of
+what Adam leaves after 25, and less for waypoints and poses at the ends.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from kinegraph.arrays import DoubleArray, FloatArray
+
+MEMORY: Final = 8
+"""Pairs of steps and changes of the gradient that are kept."""
+MAX_STEP: Final = 0.5
+"""Largest root mean square of a step; latents have a deviation of 1."""
+SUFFICIENT: Final = 1e-4
+"""Share of the promised decrease that a step must keep (Armijo; Nocedal & Wright, Eq. 3.4)."""
+SHRINK: Final = 0.3
+"""Factor of a step that did not keep it."""
+TRIES: Final = 3
+
+EnergyOf = Callable[[FloatArray], tuple[float, FloatArray]]
+"""Latent -> energy and gradient, of one shape."""
+
+
+@dataclass(frozen=True)
+class Limits:
+    """How far a descent goes."""
+
+    steps: int
+    """At most; fewer where no step goes down."""
+    hold: float
+    """How strongly the latent is held to where it started."""
+    away: float
+    """Largest root mean square of the way from there."""
+    enough: float
+    """Energy at which it ends."""
+
+
+def descend(
+    energy: EnergyOf, start: FloatArray, limits: Limits, after: Callable[[int], None] | None = None
+) -> FloatArray:
+    """Descend E(z) + hold / 2 mean (z - start)^2 from `start`.
+
+    Args:
+        energy: E and its gradient.
+        start: any shape.
+        limits: of the descent.
+        after: called after each step with its number from 1 on; what it raises ends the descent.
+
+    Returns:
+        The latent, of the shape of `start`.
+    """
+    origin = start.astype(np.float64)
+
+    def held(latent: DoubleArray) -> tuple[float, DoubleArray]:
+        value, slope = energy(latent.astype(np.float32))
+        away = latent - origin
+        pull = limits.hold * away / away.size
+        return value + 0.5 * limits.hold * float((away**2).mean()), slope.astype(np.float64) + pull
+
+    latent, pairs = origin, deque[tuple[DoubleArray, DoubleArray]](maxlen=MEMORY)
+    value, gradient = held(latent)
+    for number in range(1, limits.steps + 1):
+        if value <= limits.enough:
+            break
+        step = _direction(value, gradient, pairs)
+        accepted = _accept(held, latent, value, gradient, step)
+        if accepted is None:
+            if not pairs:
+                break
+            pairs.clear()  # once more along the gradient
+        else:
+            step, value, next_gradient = accepted
+            change = next_gradient - gradient
+            if float((step * change).sum()) > 1e-12:
+                pairs.append((step, change))
+            latent, gradient = latent + step, next_gradient
+            if float(np.sqrt(((latent - origin) ** 2).mean())) > limits.away:
+                break
+        if after is not None:
+            after(number)
+    return latent.astype(np.float32)
+
+
+def _direction(value: float, gradient: DoubleArray, pairs: deque[tuple[DoubleArray, DoubleArray]]) -> DoubleArray:
+    """Compute the step -H g by the two-loop recursion; the first one is Polyak's, and all are bounded by `MAX_STEP`."""
+    along = gradient.copy()
+    shares = []
+    for step, change in reversed(pairs):
+        share = float((step * along).sum() / (change * step).sum())
+        along -= share * change
+        shares.append(share)
+    if pairs:
+        step, change = pairs[-1]
+        along *= float((step * change).sum() / (change * change).sum())
+    else:
+        along *= 2.0 * value / max(float((gradient**2).sum()), 1e-20)
+    for (step, change), share in zip(pairs, reversed(shares), strict=True):
+        along += step * (share - float((change * along).sum() / (change * step).sum()))
+    size = float(np.sqrt((along**2).mean()))
+    return -along * min(1.0, MAX_STEP / max(size, 1e-12))
+
+
+def _accept(
+    held: Callable[[DoubleArray], tuple[float, DoubleArray]],
+    latent: DoubleArray,
+    value: float,
+    gradient: DoubleArray,
+    step: DoubleArray,
+) -> tuple[DoubleArray, float, DoubleArray] | None:
+    """Shorten a step until it goes down enough; returns it with energy and gradient, or None."""
+    promised = float((gradient * step).sum())
+    if promised >= 0:
+        return None
+    for attempt in range(TRIES):
+        factor = SHRINK**attempt
+        next_value, next_gradient = held(latent + factor * step)
+        if next_value <= value + SUFFICIENT * factor * promised:
+            return factor * step, next_value, next_gradient
+    return None

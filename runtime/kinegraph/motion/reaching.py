@@ -1,0 +1,139 @@
+"""Close the last centimetres to where joints have to be: a smooth displacement, rigid bones, planted feet.
+
+A latent comes within a centimetre or two of what constraints want. `reach` closes the rest in the joints themselves:
+
+1. the whole body moves over the floor by the path of least jerk (Flash & Hogan, 1985) through what the pelvis misses;
+2. planted feet are locked where they now stand (`postprocess.lock_feet`);
+3. other joints follow paths of least jerk through what they miss, and the body follows them by position-based dynamics
+   (Müller et al., 2007) with rigid bones, in rounds that aim past the target by what the round before missed.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinegraph.arrays import DoubleArray, FloatArray, Floats
+from kinegraph.motion.postprocess import bend_to_lengths, lock_feet
+from kinegraph.motion.skeleton import PELVIS
+
+METRES_PER_JERK: Final = 0.01
+"""Metres of displacement that cost as much as a jerk of 1 m/s^3: it comes and goes within about half a second."""
+ROUNDS: Final = 8
+"""Rounds of aiming at what joints still miss."""
+SWEEPS: Final = 10
+"""Iterations of position-based dynamics in a round."""
+NEGLIGIBLE: Final = 5e-4
+"""Metres: a joint that is displaced by less is free."""
+MAX_PAST: Final = 0.02
+"""Metres by which a round aims further past a target: what is out of reach must not wind up."""
+MAX_REACH: Final = 0.2
+"""Metres by which a correction moves a joint at most: what is further off is missed, and told."""
+
+
+@dataclass(frozen=True)
+class Pins:
+    """Places that joints have to be at."""
+
+    target: DoubleArray
+    """(frames, 22, 3) metres; anything where nothing is wanted."""
+    wanted: NDArray[np.bool_]
+    """(frames, 22, 3), for each axis."""
+
+
+def reach(joints: Floats, pins: Pins, lengths: FloatArray, fps: float, *, foot_fix: bool) -> FloatArray:
+    """Move a motion so that its joints are where they have to be, as far as bones allow.
+
+    Args:
+        joints: (frames, 22, 3) metres, with rigid bones.
+        pins: where joints have to be.
+        lengths: (21,) metres of the bones (`skeleton.bone_lengths`).
+        fps: frames per second.
+        foot_fix: lock planted feet.
+
+    Returns:
+        (frames, 22, 3) float32 metres, with these bones.
+    """
+    moved = joints.astype(np.float64) + _root_displacement(joints, pins, fps)[:, None]
+    if foot_fix:
+        moved = lock_feet(moved.astype(np.float32), fps).astype(np.float64)
+    displacement = _joint_displacements(moved, pins, fps)
+    displaced = np.abs(displacement).max(axis=-1) > NEGLIGIBLE
+    at = (displaced | pins.wanted.any(axis=-1)).any(axis=1)
+    if at.any():
+        wanted = pins.wanted[at]
+        held = wanted | displaced[at, :, None]
+        held[:, PELVIS, [0, 2]] = True  # a hand does not move the body over the floor
+        moved[at] = _pull(moved[at], moved[at] + displacement[at], wanted, held, lengths)
+    return moved.astype(np.float32)
+
+
+def smooth_field(known: Floats, at: NDArray[np.bool_], fps: float) -> DoubleArray:
+    """Fill in displacements between the frames where they are known, and let them fade away beside.
+
+    s minimises sum |D^3 s|^2 + (s / `METRES_PER_JERK`)^2, with D^3 the third derivative and s as known at its frames.
+
+    Args:
+        known: (frames, n); only the rows at `at` count.
+        at: (frames,) where it is known.
+        fps: frames per second.
+
+    Returns:
+        (frames, n).
+    """
+    field = np.where(at[:, None], known, 0.0)
+    free = ~at
+    if not free.any() or not at.any():
+        return field
+    third = np.diff(np.eye(len(at)), n=3, axis=0) * fps**3
+    unknown = third[:, free]
+    normal = unknown.T @ unknown + np.eye(int(free.sum())) / METRES_PER_JERK**2
+    field[free] = -np.linalg.solve(normal, unknown.T @ (third[:, at] @ field[at]))
+    return field
+
+
+def _root_displacement(joints: Floats, pins: Pins, fps: float) -> DoubleArray:
+    """Compute the displacement (frames, 3) of the body over the floor; the start of the clip stays at the origin."""
+    displacement = np.zeros((len(joints), 3))
+    for axis in (0, 2):
+        at = pins.wanted[:, PELVIS, axis].copy()
+        if not at.any():
+            continue
+        missed = np.where(at, pins.target[:, PELVIS, axis] - joints[:, PELVIS, axis], 0.0)
+        if not at[0]:
+            at[0] = True
+        displacement[:, axis] = smooth_field(_bounded(missed[:, None]), at, fps)[:, 0]
+    return displacement
+
+
+def _joint_displacements(joints: Floats, pins: Pins, fps: float) -> DoubleArray:
+    """Compute displacements (frames, 22, 3) through what each joint misses; joints of the same frames together."""
+    displacement = np.zeros(joints.shape)
+    missed = _bounded(np.where(pins.wanted, pins.target - joints, 0.0))
+    columns = pins.wanted.reshape(len(joints), -1)
+    flat = missed.reshape(len(joints), -1)
+    out = displacement.reshape(len(joints), -1)
+    for pattern in {columns[:, index].tobytes() for index in np.flatnonzero(columns.any(axis=0))}:
+        at = np.frombuffer(pattern, dtype=np.bool_)
+        same = np.flatnonzero((columns == at[:, None]).all(axis=0))
+        out[:, same] = smooth_field(flat[:, same], at, fps)
+    return displacement
+
+
+def _bounded(missed: Floats) -> DoubleArray:
+    return np.asarray(np.clip(missed, -MAX_REACH, MAX_REACH))
+
+
+def _pull(
+    joints: DoubleArray, aims: DoubleArray, wanted: NDArray[np.bool_], held: NDArray[np.bool_], lengths: FloatArray
+) -> Floats:
+    """Bring joints to their aims with rigid bones: those of wanted places in rounds, those on the way to them once."""
+    solved: Floats = joints
+    past = np.zeros_like(aims)
+    for _ in range(ROUNDS):
+        solved = bend_to_lengths(np.where(held, aims + past, solved), lengths, held, SWEEPS)
+        past += np.clip(np.where(wanted, aims - solved, 0.0), -MAX_PAST, MAX_PAST)
+    return solved

@@ -1,0 +1,88 @@
+"""The last centimetres: joints come to their places with rigid bones, and feet stay planted."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from kinegraph.motion.postprocess import find_contacts
+from kinegraph.motion.reaching import METRES_PER_JERK, Pins, reach, smooth_field
+from kinegraph.motion.skeleton import JOINT_INDEX, PELVIS, bone_lengths
+from support.motions import stand, walk
+
+FPS = 20.0
+
+
+def pins(frames: int) -> Pins:
+    return Pins(np.zeros((frames, 22, 3)), np.zeros((frames, 22, 3), dtype=np.bool_))
+
+
+def rigid(joints: np.ndarray) -> np.ndarray:
+    return np.asarray(bone_lengths(joints)[0])
+
+
+def test_nothing_wanted_changes_nothing() -> None:
+    motion = walk(40, turning=0.02)
+    np.testing.assert_allclose(reach(motion, pins(40), rigid(motion), FPS, foot_fix=False), motion, atol=1e-6)
+
+
+@pytest.mark.parametrize("joint", ["right_wrist", "left_elbow", "head", "left_foot", "spine2"])
+def test_a_joint_comes_to_its_place_and_the_rest_stays(joint: str) -> None:
+    motion, index = stand(40), JOINT_INDEX[joint]
+    wanted = pins(40)
+    wanted.target[20, index] = motion[20, index] + [0.02, -0.03 if joint in ("head", "spine2") else 0.03, 0.01]
+    wanted.wanted[20, index] = True
+    moved = reach(motion, wanted, rigid(motion), FPS, foot_fix=False)
+    np.testing.assert_allclose(moved[20, index], wanted.target[20, index], atol=3e-3)
+    np.testing.assert_allclose(bone_lengths(moved), np.tile(rigid(motion), (40, 1)), atol=1e-4)
+    np.testing.assert_allclose(moved[[0, 39]], motion[[0, 39]], atol=6e-3)
+    steps = np.abs(np.diff(moved - motion, axis=0)).max()
+    assert steps < 0.02  # no jump
+
+
+def test_a_path_is_followed_to_the_millimetre_with_planted_feet() -> None:
+    motion = stand(60, wave=2.0)
+    wanted = pins(60)
+    wanted.target[:, PELVIS] = motion[:, PELVIS] + 0.03 * np.sin(np.arange(60) / 9)[:, None] * [1.0, 0.0, 0.5]
+    wanted.wanted[:, PELVIS, [0, 2]] = True
+    moved = reach(motion, wanted, rigid(motion), FPS, foot_fix=True)
+    np.testing.assert_allclose(moved[:, PELVIS, [0, 2]], wanted.target[:, PELVIS, [0, 2]], atol=1e-3)
+    slid = []
+    for toe in (10, 11):
+        for start, end in find_contacts(moved[:, toe].astype(np.float64), FPS):
+            slid.append(np.linalg.norm(np.diff(moved[start:end, toe][:, [0, 2]], axis=0), axis=-1))
+    assert np.concatenate(slid).max() < 2e-3
+
+
+def test_a_whole_pose_is_reached() -> None:
+    motion, bow = stand(40), stand(40, bow=0.15)
+    wanted = pins(40)
+    wanted.target[20], wanted.wanted[20] = bow[15], True
+    moved = reach(motion, wanted, rigid(motion), FPS, foot_fix=True)
+    assert np.linalg.norm(moved[20] - bow[15], axis=-1).mean() < 5e-3
+
+
+def test_what_is_out_of_reach_does_not_explode() -> None:
+    motion = stand(30)
+    wanted = pins(30)
+    wanted.target[15, JOINT_INDEX["left_wrist"]], wanted.wanted[15, JOINT_INDEX["left_wrist"]] = [50.0, 3.0, 0.0], True
+    moved = reach(motion, wanted, rigid(motion), FPS, foot_fix=True)
+    assert np.abs(moved - motion).max() < 0.8
+    np.testing.assert_allclose(bone_lengths(moved), np.tile(rigid(motion), (30, 1)), atol=1e-4)
+
+
+def test_a_smooth_field_is_the_least_squares_solution() -> None:
+    rng = np.random.default_rng(0)
+    at = np.zeros(30, dtype=np.bool_)
+    at[[3, 4, 20]] = True
+    known = 0.02 + rng.normal(0.0, 0.001, (30, 2))
+    field = smooth_field(known, at, FPS)
+    np.testing.assert_array_equal(field[at], known[at])
+
+    def cost(values: np.ndarray) -> float:
+        return float(((np.diff(values, n=3, axis=0) * FPS**3) ** 2).sum() + ((values / METRES_PER_JERK) ** 2).sum())
+
+    for _ in range(20):
+        other = field + np.where(at[:, None], 0.0, rng.normal(0.0, 1e-4, field.shape))
+        assert cost(other) > cost(field)
+    assert np.abs(field[-1]).max() < 0.01 < np.abs(field[15]).max()
