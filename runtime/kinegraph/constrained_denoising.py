@@ -14,8 +14,8 @@ After the finest level the latent itself descends the energy (`diffusion.descent
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -26,7 +26,7 @@ from kinegraph.bundle.manifest import Manifest
 from kinegraph.bundle.sessions import Sessions, run_model
 from kinegraph.clip import Clip
 from kinegraph.conditioning import Conditions
-from kinegraph.constraints import Constraint
+from kinegraph.constraints import Constraint, Miss
 from kinegraph.decoding import MotionDecoder
 from kinegraph.denoising import LatentSampler, OnLatent, sample_hierarchy
 from kinegraph.diffusion.composition import CompositionWeights
@@ -35,11 +35,12 @@ from kinegraph.diffusion.descent import Limits, descend
 from kinegraph.diffusion.sampling import DdimCoefficients, OnStep, PredictNoise, StepInfo, is_stop
 from kinegraph.errors import Cancelled, InvalidInputError
 from kinegraph.feasibility import check_constraints
+from kinegraph.keeping import Kept
 from kinegraph.limits import MAX_WEIGHT
 from kinegraph.motion.energies import TOES, Energy, floor_energy, stance_energy
 from kinegraph.motion.features import joints_from_features, joints_vjp
 from kinegraph.motion.postprocess import enforce_bone_lengths, find_contacts, lock_feet
-from kinegraph.motion.reaching import reach
+from kinegraph.motion.reaching import Pins, reach
 from kinegraph.motion.skeleton import bone_lengths
 from kinegraph.options import GenerateOptions
 from kinegraph.placements import misses_of, pins_of
@@ -76,8 +77,10 @@ class Wanted:
     """Whether the joints are corrected after the last latent (`motion.reaching`)."""
     strict: bool
     notes: tuple[str, ...] = ()
-    further: Callable[[int], tuple[Term, ...]] | None = field(default=None)
-    """More terms for a clip of so many frames."""
+    kept: Kept | None = None
+    """What an edit keeps of a clip."""
+    begin: EncodedClip | None = None
+    """Where an edit begins at the finest level."""
 
     @staticmethod
     def check(constraints: object, weight: object, fix: object, strict: bool, sampler: LatentSampler) -> Wanted:
@@ -94,15 +97,7 @@ class Wanted:
                 f"constraint_weight must be 0 to {MAX_WEIGHT:g}, not {short_repr(weight)}; 1 is usual, 0 is without"
             )
         checked, _ = check_constraints(constraints, manifest.frames.max, manifest.fps)
-        if not sampler.sessions.decoder_gradients:
-            raise InvalidInputError(
-                f"bundle {manifest.name} {manifest.version} has no gradients of its decoders, which constraints need; "
-                "leave them out, or add the graphs: python -m kinegraph_export.add_gradients"
-            )
-        if manifest.features.layout != "joints-137":
-            raise InvalidInputError(
-                f"constraints need features of the layout joints-137, not {manifest.features.layout}"
-            )
+        require_gradients(sampler)
         return Wanted(checked, number, bool(fix), strict)
 
     def for_clip(self, frames: int, fps: float) -> Wanted:
@@ -113,7 +108,61 @@ class Wanted:
     @property
     def acts(self) -> bool:
         """Whether anything pulls: weights of 0 are a clip without constraints, bit for bit."""
-        return self.weight > 0 and any(constraint.weight > 0 for constraint in self.constraints)
+        pulls = self.kept is not None or any(constraint.weight > 0 for constraint in self.constraints)
+        return self.weight > 0 and pulls
+
+    def terms(self, frames: int, fps: float, *, leading: bool = False) -> tuple[Term, ...]:
+        """List the energies of all that is wanted."""
+        kept = () if self.kept is None else (self.kept.energy,)
+        return (*constraint_terms(self.constraints, frames, fps, leading=leading), *kept)
+
+    def pins(self, joints: FloatArray, fps: float) -> Pins:
+        """Collect the places of all that is wanted; those of constraints count before what is kept."""
+        pins = pins_of(self.constraints, joints.astype(np.float64), fps)
+        if self.kept is None:
+            return pins
+        kept = self.kept.pins(joints.astype(np.float64))
+        return Pins(np.where(pins.wanted, pins.target, kept.target), pins.wanted | kept.wanted)
+
+    def misses(self, joints: FloatArray, fps: float) -> tuple[Miss, ...]:
+        """Measure how far a motion is from each constraint, and from what is kept."""
+        kept = () if self.kept is None else (self.kept.miss(joints.astype(np.float64)),)
+        return (*misses_of(self.constraints, joints.astype(np.float64), fps), *kept)
+
+
+@dataclass(frozen=True)
+class EncodedClip:
+    """A clip as a latent of the finest level, from which an edit begins."""
+
+    latent: FloatArray
+    """(1, C, z)."""
+    strength: float
+    """Share of the steps that are taken: 1 begins at pure noise, and then the latent does not count."""
+
+    def first_step(self, steps: int) -> int:
+        """Tell at which step of a run the edit begins."""
+        return min(round((1.0 - self.strength) * steps), steps - 1)
+
+    def noised(self, alpha: float, noise: FloatArray) -> FloatArray:
+        """Add noise: sqrt(a) z + sqrt(1 - a) noise, as SDEdit does (Meng et al., 2022, Alg. 1)."""
+        return np.asarray(np.sqrt(alpha) * self.latent + np.sqrt(1.0 - alpha) * noise, dtype=np.float32)
+
+
+def require_gradients(sampler: LatentSampler) -> None:
+    """Refuse a bundle that cannot be pulled.
+
+    Raises:
+        InvalidInputError: it has no gradients of its decoders, or other features.
+    """
+    manifest = sampler.manifest
+    if not sampler.sessions.decoder_gradients:
+        raise InvalidInputError(
+            f"bundle {manifest.name} {manifest.version} has no gradients of its decoders, which constraints need; "
+            "leave them out, or add the graphs: python -m kinegraph_export.add_gradients"
+        )
+    if manifest.features.layout != "joints-137":
+        layout = manifest.features.layout
+        raise InvalidInputError(f"constraints need features of the layout joints-137, not {layout}")
 
 
 def sample_constrained(
@@ -148,11 +197,12 @@ def sample_constrained(
     else:
         latents = sampler.sample(conditions, weights, [options], on_step, on_latent)
         joints = decoder.decode(latents, [options], [caption])[0].joints
-    misses = misses_of(wanted.constraints, joints.astype(np.float64), fps)
+    misses = wanted.misses(joints, fps)
+    weights_of = [constraint.weight for constraint in wanted.constraints] + [1.0] * (wanted.kept is not None)
     missed = tuple(
         f"{miss.what}: missed by {100 * miss.metres:.0f} cm"
-        for miss, constraint in zip(misses, wanted.constraints, strict=True)
-        if miss.metres > MISSED and constraint.weight > 0 and wanted.weight > 0
+        for miss, weight in zip(misses, weights_of, strict=True)
+        if miss.metres > MISSED and weight * wanted.weight > 0
     )
     if missed and wanted.strict:
         raise InvalidInputError(f"{missed[0]}; change it, or leave out strict to come as near as it goes")
@@ -173,54 +223,53 @@ def _sample_joints(
     """Sample latents under constraints, descend on the finest one, decode it, and correct the joints."""
     manifest, frames = sampler.manifest, options.frames
     fps = manifest.fps
-    further = () if wanted.further is None else wanted.further(frames)
-    leading = (*constraint_terms(wanted.constraints, frames, fps, leading=True), *further)
+    leading = wanted.terms(frames, fps, leading=True)
     alpha_bar = sampler.schedule.alphas_cumprod
 
     def make_predictor(level: str, ddim: DdimCoefficients, coarse: FloatArray | None) -> PredictNoise:
         predict = sampler.predictor(conditions, weights, [options], level, ddim, coarse)
         energy = DecodedEnergy(sampler.sessions, manifest, level, frames, leading)
-        return ConstrainedPrediction(predict, energy, alpha_bar[ddim.timesteps], wanted.weight)
+        pulled = ConstrainedPrediction(predict, energy, alpha_bar[ddim.timesteps], wanted.weight)
+        if wanted.begin is None or level != LEVELS[-1]:
+            return pulled
+        first = wanted.begin.first_step(len(ddim.timesteps))
+        return BegunPrediction(pulled, ddim, wanted.begin.noised(alpha_bar[ddim.timesteps[first]], noise[-1]), first)
 
     progress = _Progress(on_step)
     noise, levels = sampler.initial_noise([options]), sampler.level_plans(options)
     latents = sample_hierarchy(levels, noise, make_predictor, sampler.schedule, progress.diffused, on_latent)[-1]
-    terms = (*constraint_terms(wanted.constraints, frames, fps), *further)
+    terms = wanted.terms(frames, fps)
     energy = DecodedEnergy(sampler.sessions, manifest, LEVELS[-1], frames, terms)
     standing = replace(energy, terms=(*terms, *_standing(joints_from_features(energy.decode(latents)), fps)))
     limits = Limits(
         steps=DESCENT_STEPS,
         hold=HOLD / max(wanted.weight, 1e-3),
         away=MAX_AWAY,
-        enough=0.5 * CLOSE**2 * sum(constraint.weight for constraint in wanted.constraints),
+        enough=0.5
+        * CLOSE**2
+        * (sum(constraint.weight for constraint in wanted.constraints) + (wanted.kept is not None)),
     )
     latents = descend(standing, latents, limits, progress.descended)
     progress.finished()
     joints = enforce_bone_lengths(joints_from_features(energy.decode(latents)), decoder.bones)
-    return (
-        corrected(joints, wanted.constraints, fps, foot_fix=options.foot_fix)
-        if wanted.fix
-        else _locked(joints, fps, options.foot_fix)
-    )
+    if not wanted.fix:
+        return lock_feet(joints, fps) if options.foot_fix else joints
+    return corrected(joints, wanted, fps, foot_fix=options.foot_fix)
 
 
-def corrected(joints: FloatArray, constraints: Sequence[Constraint], fps: float, *, foot_fix: bool) -> FloatArray:
-    """Close what the latent leaves of the way to the constraints, in the joints (`motion.reaching`).
+def corrected(joints: FloatArray, wanted: Wanted, fps: float, *, foot_fix: bool) -> FloatArray:
+    """Close what the latent leaves of the way to what is wanted, in the joints (`motion.reaching`).
 
     Args:
         joints: (frames, 22, 3) metres, with rigid bones.
-        constraints: of the clip.
+        wanted: of the clip.
         fps: frames per second.
         foot_fix: lock planted feet.
     """
     lengths = np.median(bone_lengths(joints), axis=0)
     for _ in range(REACHING_ROUNDS):
-        joints = reach(joints, pins_of(constraints, joints.astype(np.float64), fps), lengths, fps, foot_fix=foot_fix)
+        joints = reach(joints, wanted.pins(joints, fps), lengths, fps, foot_fix=foot_fix)
     return joints
-
-
-def _locked(joints: FloatArray, fps: float, foot_fix: bool) -> FloatArray:
-    return lock_feet(joints, fps) if foot_fix else joints
 
 
 def _standing(joints: FloatArray, fps: float) -> tuple[Term, ...]:
@@ -329,6 +378,26 @@ class ConstrainedPrediction:
         pulled = clean - np.float32(self.weight) * polyak_pull(*self.energy(clean))
         pulled *= min(1.0, max(MAX_LATENT, _size(clean)) / max(_size(pulled), 1e-12))
         return np.asarray(noise + np.float32(np.sqrt(alpha / (1.0 - alpha))) * (clean - pulled), dtype=np.float32)
+
+
+@dataclass(frozen=True)
+class BegunPrediction:
+    """A noise prediction whose run begins at a later step, at a latent that is given; a `PredictNoise`."""
+
+    predict: PredictNoise
+    ddim: DdimCoefficients
+    latent: FloatArray
+    """(B, C, z) at the step where the run begins."""
+    first: int
+
+    def __call__(self, latents: FloatArray, index: int) -> FloatArray:
+        if index >= self.first:
+            return self.predict(latents, index)
+        if index < self.first - 1:
+            return np.zeros_like(latents)
+        # the noise with which the DDIM step, keep z + move eps, arrives at the latent
+        arriving = (self.latent - self.ddim.keep[index] * latents) / self.ddim.move[index]
+        return np.asarray(arriving, dtype=np.float32)
 
 
 def _size(latents: FloatArray) -> float:

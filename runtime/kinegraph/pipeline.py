@@ -11,12 +11,12 @@ Above 500 lines because all public calls are here, each with all its options and
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, wraps
 from operator import itemgetter
 from pathlib import Path
-from typing import TYPE_CHECKING, ParamSpec, TypeVar
+from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar
 
 import onnxruntime
 
@@ -515,6 +515,121 @@ class MotionPipeline:
         watch = deadline.watch(on_step)
         clip = self._decode_sample(conditions, plan.weights, options, caption, wanted, watch, on_latent)
         return replace(clip, unknown=unknown, notes=(*notes, *clip.notes))
+
+    @_with_typed_memory_errors
+    def edit(
+        self,
+        clip: Clip,
+        text: str | SemanticGraph,
+        *,
+        keep: Sequence[str | tuple[float, float]] | str | tuple[float, float],
+        strength: float = 1.0,
+        seed: int | None = None,
+        steps: Steps | None = None,
+        guidance: Guidance | None = None,
+        foot_fix: bool = True,
+        constraints: Sequence[Constraint] | None = None,
+        constraint_weight: float = 1.0,
+        constraint_fix: bool = True,
+        strict: bool = False,
+        timeout: float | None = None,
+        on_step: OnStep | None = None,
+    ) -> Clip:
+        """Keep a part of a clip, and let a sentence make the rest anew.
+
+        What is kept pulls at every step like a constraint, and the last of `Clip.misses` tells how far it moved.
+
+        Args:
+            clip: to edit, 0.8 to 9.8 s with the default bundle; the result has its length.
+            text: what happens in the rest.
+            keep: parts of the body (`keeping.PARTS`: "legs", "left arm" ...), over the whole clip, and spans (begin,
+                end) of seconds, in which the whole body is kept. Legs stay where they are in the world, arms, head and
+                torso relative to the pelvis.
+            strength: share of the steps of the finest level that are taken, above 0 to 1. Below 1 they begin at the
+                clip with noise added (SDEdit), so that more of it stays; 1 begins at pure noise.
+            seed, steps, guidance, foot_fix, constraints, constraint_weight, constraint_fix, strict, timeout, on_step:
+                as in `generate`.
+
+        Raises:
+            InvalidInputError: as in `generate`; also for a clip that is too long, nothing to keep, or a bundle without
+                an encoder.
+            Cancelled, NonFiniteError: as in `generate`.
+        """
+        from kinegraph.clip_editing import check_edit
+
+        deadline = _check_call(timeout, on_step, strict=strict)
+        wanted = self._check_constraints(constraints, constraint_weight, constraint_fix, strict=strict)
+        wanted = check_edit(clip, keep, strength, wanted, self.sampler)
+        options = resolve_options(
+            self.manifest, seconds=clip.duration, seed=seed, steps=steps, guidance=guidance, foot_fix=foot_fix
+        )
+        graph = self.as_graph(text)
+        unknown = self.find_unknown(graph, strict=strict)
+        encoded = self._encode_sentence(graph, options, own_length=False, is_known=not unknown, in_order=False)
+        deadline.check()
+        return replace(self._make_clip(encoded, options.seed, deadline.watch(on_step), wanted=wanted), unknown=unknown)
+
+    def inbetween(
+        self,
+        start: Clip | FloatArray,
+        end: Clip | FloatArray,
+        seconds: float,
+        text: str | SemanticGraph,
+        *,
+        placed: bool = False,
+        constraints: Sequence[Constraint] | None = None,
+        **options: Any,
+    ) -> Clip:
+        """Make the motion between two poses: `generate` with a `StartPose` and an `EndPose`.
+
+        Args:
+            start: a clip, of which the end counts, or joints (22, 3) or (frames, 22, 3), metres.
+            end: a clip, of which the start counts, or joints.
+            seconds: of the clip.
+            text: what happens.
+            placed: let the end be where it is relative to the start; False is anywhere on the floor.
+            constraints: further ones.
+            options: of `generate`.
+
+        Raises:
+            InvalidInputError, Cancelled, NonFiniteError: as in `generate`.
+        """
+        from kinegraph.clip_editing import between
+
+        resolve_options(self.manifest, seconds=seconds)
+        ends = between(start, end, seconds, self.manifest.fps, placed=check_flag(placed, "placed"))
+        return self.generate(text, seconds=seconds, constraints=[*ends, *(constraints or ())], **options)
+
+    def stream(
+        self,
+        texts: Iterable[str | SemanticGraph],
+        *,
+        seconds: float | None = None,
+        seed: int | None = None,
+        **options: Any,
+    ) -> Iterator[FloatArray]:
+        """Yield frame after frame of one sentence after another, each from the last pose of the one before.
+
+        Nothing is cut or blended, lengths are those asked for, and memory stays flat, however long it runs.
+
+        Args:
+            texts: sentences or graphs; `itertools.cycle` makes them endless.
+            seconds: of each part; None lets each sentence decide.
+            seed: part k is generated with seed + k; None draws one.
+            options: further ones of `generate`, but for constraints.
+
+        Yields:
+            Joints (22, 3) metres of each frame, in one world; `manifest.fps` of them a second.
+
+        Raises:
+            InvalidInputError, Cancelled, NonFiniteError: as in `generate`, when the part is due.
+        """
+        from kinegraph.clip_editing import stream_frames
+
+        if isinstance(texts, str | SemanticGraph) or not isinstance(texts, Iterable):
+            raise InvalidInputError("a stream takes sentences one after another, such as a list")
+        first = resolve_options(self.manifest, seconds=seconds, seed=seed).seed
+        return stream_frames(self, texts, first, seconds, options)
 
     def encode_composition(
         self, spec: CompositionSpec, options: GenerateOptions, *, own_length: bool

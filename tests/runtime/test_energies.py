@@ -25,6 +25,9 @@ TERMS: dict[str, Callable[[DoubleArray], Energy]] = {
     "pose at the start": lambda joints: energies.pose_energy(joints, POSE, 0, 0, np.linspace(0.5, 1.0, 4), 3.0),
     "pose at the end": lambda joints: energies.pose_energy(joints, POSE, 20, 23, np.linspace(0.5, 1.0, 4), 3.0),
     "pose at a moment": lambda joints: energies.pose_energy(joints, POSE[:1], 11, 11, np.ones(1), 0.0),
+    "relative": lambda joints: energies.relative_energy(
+        joints, np.full(joints.shape, 0.2), np.linspace(0.0, 1.0, 24 * 22).reshape(24, 22)
+    ),
     "loop": lambda joints: energies.loop_energy(joints, 1.5, 4.0),
     "floor": lambda joints: energies.floor_energy(joints - [0.0, 0.05, 0.0], 2.0),
     "stance": lambda joints: energies.stance_energy(joints, np.linspace(0.0, 1.0, 46).reshape(23, 2)),

@@ -7,6 +7,7 @@ decoder's vector-Jacobian product carry back to z.
     position_energy     joints at places: root paths, hands, feet, poses in the world
     heading_energy      where the body faces
     pose_energy         poses up to place on the floor and heading, with the velocity between frames
+    relative_energy     parts of the body relative to the pelvis
     loop_energy         the last frame as the first, with its velocity
     floor_energy        feet not under the floor
     stance_energy       planted feet that do not slide
@@ -99,6 +100,43 @@ def pose_energy(joints: Floats, pose: Floats, first: int, anchor: int, weight: F
     cotangent[:-1] -= pull
     energy = 0.5 * float((weights * difference**2).sum() + (pull * steps).sum())
     return energy, back(cotangent)
+
+
+def relative_energy(joints: Floats, local: Floats, weight: Floats) -> Energy:
+    """Compute 1/2 sum w |L_t(x_t) - local|^2: parts of the body relative to the pelvis and heading of each frame.
+
+    Args:
+        joints: (frames, 22, 3) metres.
+        local: (frames, 22, 3) metres, see `to_own_frames`.
+        weight: (frames, 22).
+    """
+    own, back = to_own_frames(joints)
+    difference = own - local
+    cotangent = weight[..., None] * difference
+    return 0.5 * float((cotangent * difference).sum()), back(cotangent)
+
+
+def to_own_frames(joints: Floats) -> tuple[DoubleArray, Callable[[Floats], DoubleArray]]:
+    """Move and turn every frame so that its pelvis is above the origin and its body faces +Z.
+
+    Returns:
+        (frames, 22, 3) metres, and the function that carries a cotangent of them back to the joints.
+    """
+    heading, slope = _heading_and_slope(joints)
+    cos, sin = np.cos(heading)[:, None], np.sin(heading)[:, None]
+    moved = joints - joints[:, :1] * HORIZONTAL
+    local = np.stack(
+        [cos * moved[..., 0] - sin * moved[..., 2], moved[..., 1], sin * moved[..., 0] + cos * moved[..., 2]], axis=-1
+    )
+
+    def back(cotangent: Floats) -> DoubleArray:
+        x, z = cotangent[..., 0], cotangent[..., 2]
+        gradient = np.stack([cos * x + sin * z, cotangent[..., 1], cos * z - sin * x], axis=-1)
+        gradient[:, PELVIS] -= gradient.sum(axis=1) * HORIZONTAL
+        _add_heading_gradient(gradient, (z * local[..., 0] - x * local[..., 2]).sum(axis=1), slope)
+        return gradient
+
+    return local, back
 
 
 def loop_energy(joints: Floats, weight: float, velocity: float) -> Energy:
