@@ -31,8 +31,9 @@ def test_the_add_on_makes_clips_and_moves_the_selected_armature(
         pytest.skip(blender_problem())
     import threading
 
+    from kinegraph.playground.server import open_socket
     from kinegraph.service.app import Service
-    from kinegraph.service.server import ServiceServer, open_socket
+    from kinegraph.service.server import ServiceServer
 
     build = BUILDS["Unreal, A-pose, Z up, twist"]
     hero = tmp_path / "hero.glb"

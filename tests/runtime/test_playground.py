@@ -7,6 +7,7 @@ import json
 import os
 import signal
 import socket
+import struct
 import subprocess
 import sys
 import threading
@@ -22,6 +23,8 @@ import pytest
 import kinegraph
 from kinegraph import MotionPipeline, cli
 from kinegraph.errors import Cancelled
+from kinegraph.formats import encode
+from support.characters import BUILDS, make_character
 from support.cli_runs import fails
 from support.playground import REQUEST, TEXT, PlaygroundClient, running_playground
 
@@ -115,6 +118,73 @@ def test_how_concepts_are_mixed_is_that_of_compose(
     assert cli.main(["compose", *words, *FLAGS, *flags, "-o", "x.npz"]) == 0
     assert response.body == (here / "x.npz").read_bytes()
     assert response.body != server.post("/api/file", {"wish": request, "suffix": ".npz"}).body
+
+
+def test_a_sequence_and_its_shape_are_those_of_the_pipeline(server: PlaygroundClient, pipe: MotionPipeline) -> None:
+    graph = pipe.parse("a person bows slowly")
+    texts = ["a person walks", graph.to_dict()]
+    wish = {"texts": texts, "seconds": [2, 1.5], "seed": 7, "steps": 2, "loop": True, "in_place": True}
+    response = server.post("/api/file", {"wish": wish, "suffix": ".bvh", "fps": 30, "root": True})
+    assert response.status == 200, response.body
+    clip = pipe.sequence(["a person walks", graph], seconds=[2, 1.5], seed=7, steps=2).looped().in_place()
+    assert response.body == encode(clip.resampled(30), ".bvh", root=True)
+    assert server.clip(wish)[-1]["clip"]["frames"] == clip.frames
+    assert server.clip({**wish, "seconds": "2,1.5"})[-1]["clip"]["frames"] == clip.frames  # as typed
+
+
+def character_body(name: str, data: bytes, **changes: Any) -> bytes:
+    return json.dumps({"wish": REQUEST, "name": name, **changes}).encode() + b"\n" + data
+
+
+def send_character(server: PlaygroundClient, body: bytes) -> Any:
+    return server.send("POST", "/api/character", body, content_type="application/octet-stream", kinegraph_tab="test")
+
+
+def test_a_character_comes_back_with_the_clip(server: PlaygroundClient, pipe: MotionPipeline, tmp_path: Path) -> None:
+    hero = tmp_path / "hero.glb"
+    hero.write_bytes(make_character(BUILDS["Mixamo, T-pose, centimetres"]))
+    response = send_character(server, character_body("hero.glb", hero.read_bytes(), fps=24, root=True))
+    clip = pipe.generate(TEXT, seconds=2, seed=7, steps=3)
+    assert response.status == 200 and response.body == clip.onto(hero, fps=24, root=True).encode()
+
+
+def test_characters_are_bounded_and_refused_with_a_reason(server: PlaygroundClient) -> None:
+    hero = make_character(BUILDS["Mixamo, T-pose, centimetres"])
+    uri = json.dumps({"asset": {"version": "2.0"}, "buffers": [{"uri": "../../secret.bin", "byteLength": 4}]}).encode()
+    uri += b" " * (-len(uri) % 4)
+    outside = struct.pack("<4sIIII", b"glTF", 2, 20 + len(uri), len(uri), 0x4E4F534A) + uri
+    for body, status, reason in (
+        (character_body("hero.bvh", b"HIERARCHY"), 400, ".glb or .vrm"),
+        (character_body("x" * 300 + ".glb", hero), 400, "at most 200"),
+        (character_body("hero.glb", b""), 400, "cannot be used"),
+        (character_body("hero.glb", hero[:5000]), 400, "cannot be used"),
+        (character_body("hero.glb", outside), 400, "refers to"),
+        (character_body("hero.glb", hero, wish={"text": TEXT}), 400, "needs the seed"),
+        (character_body("hero.glb", hero, wish=[]), 400, "wish must be"),
+        (character_body("hero.glb", hero, suffix=".glb"), 400, "unknown 'suffix'"),
+        (b"x" * 200_000, 400, "behind a line of JSON"),
+        (b"x" * (33 * 1024 * 1024 + 1), 413, "bytes"),
+    ):
+        response = send_character(server, body)
+        assert response.status == status and reason in response.json["error"], response
+    assert server.post("/api/parse", {"text": "x" * 70_000}).status == 413  # other bodies are as short as before
+
+
+def test_few_characters_are_read_at_once(server: PlaygroundClient) -> None:
+    head = f"POST /api/character HTTP/1.1\r\nHost: 127.0.0.1:{server.port}\r\nContent-Length: 1000\r\n"
+    head += "Content-Type: application/octet-stream\r\n\r\n"
+    with ExitStack() as stack:
+        for _ in range(2):
+            slow = stack.enter_context(socket.create_connection(("127.0.0.1", server.port)))
+            slow.sendall(head.encode())
+        time.sleep(0.2)
+        response = send_character(server, character_body("hero.glb", b""))
+        assert response.status == 503 and "try again" in response.json["error"]
+        assert server.post("/api/parse", {"text": TEXT}).status == 200
+    deadline = time.monotonic() + 5
+    while send_character(server, character_body("hero.glb", b"")).status == 503:
+        assert time.monotonic() < deadline
+        time.sleep(0.05)
 
 
 def test_adding_and_hiding_change_the_graph(server: PlaygroundClient) -> None:

@@ -32,6 +32,12 @@ def test_the_page_is_whole_and_may_talk_to_this_server_alone(server: PlaygroundC
     assert "http" not in policy and "unsafe" not in policy and "*" not in policy
 
 
+def test_a_page_of_another_site_opens_it_and_drives_nothing(server: PlaygroundClient) -> None:
+    for site, waits in (("cross-site", b"true"), ("same-site", b"true"), ("same-origin", b"false"), ("none", b"false")):
+        assert b'"waits":' + waits in server.send("GET", "/", sec_fetch_site=site).body
+    assert b'"waits":false' in server.send("GET", "/").body
+
+
 @pytest.mark.parametrize(
     "host", ["evil.example", "evil.example:{port}", "127.0.0.1", "127.0.0.1:1", "localhost.:{port}", ""]
 )

@@ -31,7 +31,8 @@ pytest.importorskip("spacy")
 pytest.importorskip("starlette")
 pytest.importorskip("uvicorn")
 
-from kinegraph.service.server import ServiceServer, open_socket
+from kinegraph.playground.server import open_socket
+from kinegraph.service.server import ServiceServer
 
 REQUEST = {"text": "a person walks slowly to the left", "seconds": 2, "seed": 7, "steps": 3}
 TOKEN = "0123456789abcdef0123"
@@ -126,12 +127,12 @@ def test_concepts_sequences_and_characters_are_taken(served: Any, toy: MotionPip
         ({**REQUEST, "root": True, "format": "npz"}, "a root joint is for"),
         ({**REQUEST, "fps": 0}, "fps must be"),
         ({**REQUEST, "names": "maya"}, "joint names"),
-        ({**REQUEST, "names": 3}, "names must be a text"),
+        ({**REQUEST, "names": 3}, "names must be text"),
         ({**REQUEST, "character": "../hero.glb"}, "there is no character"),
         ({**REQUEST, "character": "notes.txt"}, "there are hero.glb"),
         ({**REQUEST, "character": "hero.glb", "format": "bvh"}, "is a .glb"),
         ({"texts": []}, "list of sentences"),
-        ({"texts": ["a person walks"], "graph": {}}, "beside texts"),
+        ({"texts": ["a person walks"], "graph": {}}, "is not for a sequence"),
         ({"texts": ["a person walks"] * 300}, "sentences"),
         ([], "object"),
     ],
@@ -187,8 +188,8 @@ def test_words_health_metrics_and_the_description_are_there(served: Any, toy: Mo
     from kinegraph.playground import schemas
     from kinegraph.service import requests
 
-    known = {*requests._FILE_KEYS, *requests._SEQUENCE_KEYS, *schemas._COMPOSITION_KEYS, *schemas._SAMPLING_KEYS}
-    assert properties["properties"].keys() == known | {"text", "graph", "concepts"}
+    known = {*requests._FILE_KEYS, *schemas._SHAPE_KEYS, *schemas._COMPOSITION_KEYS, *schemas._SAMPLING_KEYS}
+    assert properties["properties"].keys() == known | {"text", "graph", "concepts", "texts"}
     page = client.send("GET", "/v1/docs")
     assert b"/v1/clips" in page.body and "default-src 'none'" in page.headers["content-security-policy"]
     assert client.send("GET", "/v1/nothing").status == 404

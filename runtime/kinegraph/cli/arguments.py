@@ -154,6 +154,12 @@ def add_view(parser: argparse.ArgumentParser) -> None:
 def add_play(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of `play`."""
     parser.add_argument("--port", type=int, default=8420, metavar="N", help="default 8420; 0 takes any free port")
+    parser.add_argument(
+        "--host",
+        metavar="ADDRESS",
+        help="let other devices in, too, e.g. 0.0.0.0: prints a link with a token as a QR code",
+    )
+    parser.add_argument("--token", help="of that link, or the variable KINEGRAPH_TOKEN; default: drawn")
     parser.add_argument("--no-browser", dest="browser", action="store_false", help="only print the address")
     _add_threads(parser)
     _add_bundle_path(parser)

@@ -32,28 +32,43 @@ def view(args: argparse.Namespace) -> int:
 def play(args: argparse.Namespace) -> int:
     """Run `kinegraph play`: serve the playground until Ctrl+C."""
     try:
-        from kinegraph.playground.server import listen, open_browser, serve
+        from kinegraph.playground.server import listen_at, open_browser, serve
     except ModuleNotFoundError as error:
         raise MissingExtraError(f'kinegraph play needs {error.name}: pip install "kinegraph[text,play]"') from error
 
+    listener, token = listen_at(args.host, args.port, args.token)
+
     def on_start(url: str) -> None:
+        if token is not None:
+            print(qr_code(url))
         print(f"{url} (Ctrl+C ends it)", flush=True)
         if args.browser:
             open_browser(url)
 
-    with listen(args.port) as listener:
+    with listener:
         pipeline = load_pipeline(args.bundle, args.threads, parses=True)
         try:
-            serve(pipeline, listener, on_start)
+            serve(pipeline, listener, on_start, token)
         except KeyboardInterrupt:
             return 0  # the normal end
     return 0
 
 
+def qr_code(text: str) -> str:
+    """Draw a QR code with blocks of a terminal, two rows in a line, in the terminal's own colours turned round."""
+    import io
+
+    import segno
+
+    drawing = io.StringIO()
+    segno.make(text, error="l", micro=False).terminal(out=drawing, compact=True, border=2)
+    return drawing.getvalue()
+
+
 def serve(args: argparse.Namespace) -> int:
     """Run `kinegraph serve`: answer other programs until Ctrl+C, then print the times of the stages."""
     try:
-        from kinegraph.service.server import open_socket, token_of
+        from kinegraph.playground.server import open_socket, token_of
         from kinegraph.service.server import serve as run
     except ModuleNotFoundError as error:
         raise MissingExtraError(f'kinegraph serve needs {error.name}: pip install "kinegraph[text,play]"') from error

@@ -131,29 +131,50 @@ def read_character(path: str | os.PathLike[str], names: Mapping[str, str] | None
     """
     file = Path(path)
     try:
-        if file.suffix.lower() == ".bvh":
-            return _read_bvh(file, names)
-        document, binary = _embed(*split_container(_read_bytes(file, MAX_BYTES, READ_SUFFIXES)), file.parent)
+        data = _read_bytes(file, MAX_BYTES, READ_SUFFIXES)
+    except InvalidInputError as error:
+        raise InvalidInputError(f"{str(path)!r} cannot be used as a character: {error}") from error
+    return decode_character(data, str(path), names, file.parent)
+
+
+def decode_character(
+    data: bytes, name: str, names: Mapping[str, str] | None = None, folder: Path | None = None
+) -> Character:
+    """Decode the bytes of a character's file.
+
+    Args:
+        data: content of the file.
+        name: of the file, whose suffix tells the format.
+        names: as in `read_character`.
+        folder: where files that it refers to lie; None refuses them.
+
+    Raises:
+        InvalidInputError: as in `read_character`.
+    """
+    try:
+        if Path(name).suffix.lower() == ".bvh":
+            return _decode_bvh(data, name, names)
+        document, binary = _embed(*split_container(data), folder)
         _refuse_compressed(document)
         rig = _read_rig(document)
         humanoid = find_humanoid(rig, vrm=_vrm_bones(document), names=names)
         floor = _floor(document, binary, rig, humanoid)
     except InvalidInputError as error:
-        raise InvalidInputError(f"{str(path)!r} cannot be used as a character: {error}") from error
+        raise InvalidInputError(f"{name!r} cannot be used as a character: {error}") from error
     except _MALFORMED as error:
         raise InvalidInputError(
-            f"{str(path)!r} cannot be used as a character: it is damaged ({repr(error)[:200]})"
+            f"{name!r} cannot be used as a character: it is damaged ({repr(error)[:200]})"
         ) from error
-    return Character(str(path), rig, humanoid, floor, document, binary)
+    return Character(name, rig, humanoid, floor, document, binary)
 
 
-def _read_bvh(path: Path, names: Mapping[str, str] | None) -> Character:
-    skeleton = read_skeleton(_read_bytes(path, MAX_BYTES, (".bvh",)))
+def _decode_bvh(data: bytes, name: str, names: Mapping[str, str] | None) -> Character:
+    skeleton = read_skeleton(data)
     humanoid = find_humanoid(skeleton.rig, names=names)
     ankles = {humanoid.bones[f"{side}_ankle"] for side in SIDES}
     feet = [node for node in skeleton.rig.joints if ankles & set(skeleton.rig.ancestors(node))]
     floor = float(skeleton.rig.positions[feet, 1].min())
-    return Character(str(path), skeleton.rig, humanoid, floor, {}, b"", skeleton)
+    return Character(name, skeleton.rig, humanoid, floor, {}, b"", skeleton)
 
 
 def _encode_bvh(shown: CharacterClip, skeleton: BvhSkeleton) -> bytes:
@@ -204,11 +225,11 @@ def _refuse_compressed(document: Document) -> None:
         )
 
 
-def _embed(document: Document, binary: bytes, folder: Path) -> tuple[Document, bytes]:
+def _embed(document: Document, binary: bytes, folder: Path | None) -> tuple[Document, bytes]:
     """Bring buffers and images that are files of their own into the binary chunk.
 
     Raises:
-        InvalidInputError: a file is outside the folder, missing, or too large.
+        InvalidInputError: a file is outside the folder, missing, or too large; or there is no folder.
     """
     buffers = document.get("buffers", [])
     images = document.get("images", [])
@@ -244,7 +265,7 @@ def _embed(document: Document, binary: bytes, folder: Path) -> tuple[Document, b
     return (document | {"images": embedded} if images else document), bytes(data)
 
 
-def _fetch(uri: object, folder: Path) -> bytes:
+def _fetch(uri: object, folder: Path | None) -> bytes:
     """Read a data URI, or a file in the folder or below."""
     if not isinstance(uri, str):
         raise InvalidInputError("it refers to a file by something that is no text")
@@ -253,6 +274,8 @@ def _fetch(uri: object, folder: Path) -> bytes:
             return base64.b64decode(uri.partition(",")[2], validate=True)
         except binascii.Error as error:
             raise InvalidInputError("it has a data URI that is damaged") from error
+    if folder is None:
+        raise InvalidInputError(f"it refers to the file {uri[:80]!r}; pack it all as one .glb")
     root = folder.resolve()
     target = root.joinpath(unquote(uri))
     if ":" in uri or "\\" in uri or "\0" in unquote(uri) or not target.resolve().is_relative_to(root):

@@ -3,7 +3,8 @@
     guards.py       limits of a server, and the middleware that keeps those of one request
     connections.py  time limits and number of connections, for any application of uvicorn
     middleware.py   admits requests of this machine's own pages
-    app.py          the page and five calls: parse, unknown words, edit, a clip as a stream of events, a file of it
+    app.py          six calls: parse, unknown words, edit, a clip as a stream of events, a file, a character
+    page.py         the page: what it is told of the bundle, and the clip that it opens with
     schemas.py      the JSON of a request as typed, checked values
     jobs.py         one clip: its events, the result, and the time of each stage
     fair_queue.py   one clip at a time, tab by tab

@@ -1,4 +1,4 @@
-"""The web application of the playground: the page, and five calls that keep no state."""
+"""The web application of the playground: the page, and six calls that keep no state."""
 
 from __future__ import annotations
 
@@ -16,21 +16,21 @@ from starlette.requests import Request
 from starlette.responses import JSONResponse, Response, StreamingResponse
 from starlette.routing import Route
 
-from kinegraph.bundle.contract import AGD_DENOISERS
-from kinegraph.concepts import DEFAULT_LAMBDAS
+from kinegraph.clip import Clip
 from kinegraph.errors import InvalidInputError, KinegraphError
-from kinegraph.formats import NAMED, encode
-from kinegraph.formats.html import content_security_policy, render_page
-from kinegraph.graph import ARGUMENT_ROLES
+from kinegraph.formats.html import content_security_policy
 from kinegraph.pipeline import MotionPipeline
+from kinegraph.playground import page
 from kinegraph.playground.fair_queue import FairQueue, TooBusyError
 from kinegraph.playground.guards import UNEXPECTED, Receive, RequestGuard, Scope, Send, ServerLimits, run_until_left
 from kinegraph.playground.jobs import GenerationJob, TookTooLongError, generate_clip
-from kinegraph.playground.middleware import LoopbackOnlyMiddleware
+from kinegraph.playground.middleware import GateMiddleware, only_loopback, only_token
 from kinegraph.playground.schemas import (
+    MAX_CHARACTER_LINE,
     ClipRequest,
     apply_edit,
     parse_caption,
+    parse_character_request,
     parse_clip_request,
     parse_file_request,
     parse_graph,
@@ -41,17 +41,8 @@ T = TypeVar("T")
 
 logger = logging.getLogger(__name__)
 
-FILES: Final = {
-    ".bvh": "text/plain; charset=us-ascii",
-    ".glb": "model/gltf-binary",
-    ".npz": "application/zip",
-    ".html": "text/html; charset=utf-8",
-}
-"""Suffix -> media type of the files in which a clip can be fetched."""
-
-CONNECT: Final = "'self'"
-"""Where the page may send requests, for its content security policy."""
-EXAMPLE: Final = "a person walks forward and waves the right hand"
+CHARACTER_PATH: Final = "/api/character"
+LIMITS: Final = ServerLimits(files={CHARACTER_PATH: page.CHARACTER_BYTES + MAX_CHARACTER_LINE})
 
 
 class Playground:
@@ -61,17 +52,32 @@ class Playground:
         self._pipeline = pipeline
         self._clip_queue, self._parse_queue = FairQueue(), FairQueue()
         self._jobs: set[asyncio.Task[None]] = set()
-        self._page = render_page("kinegraph", {"play": _page_facts(pipeline)}, CONNECT)
+        self._pages: dict[bool, bytes] = {}
+        """The page, and the page that waits to be asked; empty until the first clip is made."""
 
     def stop(self) -> None:
         """Cancel all running jobs, at the end of the server."""
         for job in self._jobs:
             job.cancel()
 
+    def prepare(self) -> None:
+        """Make the clip that the page opens with, and the page; also loads what the first request needs."""
+        self._pages = page.render_pages(self._pipeline)
+
     async def page(self, request: Request) -> Response:
-        """Answer with the page."""
-        policy = f"{content_security_policy(CONNECT)}; frame-ancestors 'none'"
-        return Response(self._page, media_type="text/html; charset=utf-8", headers={"Content-Security-Policy": policy})
+        """Answer with the page.
+
+        A page of another site may open this one with any link, and may not drive it: then it waits to be asked.
+        """
+        if not self._pages:
+            async with self._clip_queue.turn(_tab(request)):
+                if not self._pages:
+                    await asyncio.to_thread(self.prepare)
+        waits = request.headers.get("sec-fetch-site", "none") not in ("none", "same-origin")
+        policy = f"{content_security_policy(page.CONNECT)}; frame-ancestors 'none'"
+        return Response(
+            self._pages[waits], media_type="text/html; charset=utf-8", headers={"Content-Security-Policy": policy}
+        )
 
     async def parse(self, request: Request) -> Response:
         """Parse {text} and answer with its graph."""
@@ -101,22 +107,28 @@ class Playground:
         return EventStream(self._events(clip_request, tab), media_type="application/x-ndjson")
 
     async def file(self, request: Request) -> Response:
-        """Generate the clip of {wish, suffix, names} and answer with the file, as the command line writes it.
+        """Generate the clip of {wish, suffix, names, root, fps} and answer with the file that the command line writes.
 
         A client that disconnects stops the generation.
         """
-        wanted = parse_file_request(parse_json(await request.body()), tuple(FILES))
+        wanted = parse_file_request(parse_json(await request.body()), tuple(page.FILES))
+        data = await self._make_file(request, wanted.clip, lambda clip: wanted.encode(clip)[0])
+        return Response(data, media_type=page.FILES[wanted.suffix])
 
-        def make_file(stop: threading.Event) -> bytes:
-            clip = generate_clip(self._pipeline, wanted.clip, lambda _: not stop.is_set())
-            return encode(clip, wanted.suffix, wanted.names)
+    async def character(self, request: Request) -> Response:
+        """Generate a clip and answer with the character that came with the request, which makes it."""
+        wanted = parse_character_request(await request.body())
+        return Response(await self._make_file(request, wanted.clip, wanted.encode), media_type="model/gltf-binary")
+
+    async def _make_file(self, request: Request, wanted: ClipRequest, encode: Callable[[Clip], bytes]) -> bytes:
+        def make(stop: threading.Event) -> bytes:
+            return encode(generate_clip(self._pipeline, wanted, lambda _: not stop.is_set()))
 
         async def make_in_turn() -> bytes:
             async with self._clip_queue.turn(_tab(request)):
-                return await run_in_thread(make_file)
+                return await run_in_thread(make)
 
-        data = await run_until_left(make_in_turn(), request.receive)
-        return Response(data, media_type=FILES[wanted.suffix])
+        return await run_until_left(make_in_turn(), request.receive)
 
     async def _events(self, clip_request: ClipRequest, tab: str) -> AsyncGenerator[str]:
         """Run a job and yield its events as lines; closing the iterator cancels the job."""
@@ -182,23 +194,6 @@ def _tab(request: Request) -> str:
     return name if re.fullmatch(r"[\w-]{1,40}", name) else ""
 
 
-def _page_facts(pipeline: MotionPipeline) -> dict[str, Any]:
-    """Collect the facts about the bundle that the page's script reads."""
-    manifest = pipeline.manifest
-    return {
-        "bundle": f"{manifest.name} {manifest.version}",
-        "seconds": manifest.seconds_limits,
-        "steps": dict(manifest.defaults.steps),
-        "guidance": dict(manifest.defaults.guidance),
-        "lambdas": DEFAULT_LAMBDAS,
-        "agd": manifest.contracts.keys() >= set(AGD_DENOISERS.values()),
-        "roles": list(ARGUMENT_ROLES),
-        "files": list(FILES),
-        "named": sorted(NAMED),
-        "example": EXAMPLE,
-    }
-
-
 async def _answer_error(request: Request, error: Exception) -> Response:
     """Answer a KinegraphError with a status and one sentence; `RequestGuard` answers any other exception."""
     busy = isinstance(error, TooBusyError | TookTooLongError)
@@ -213,11 +208,19 @@ async def _answer_unknown(request: Request, error: Exception) -> Response:
     return JSONResponse({"error": {404: "there is no such page", 405: "not that way"}.get(status, "failed")}, status)
 
 
-def application(playground: Playground, port: int, limits: ServerLimits) -> Starlette:
-    """Build the ASGI application of a playground, behind its middleware."""
+def application(playground: Playground, port: int, limits: ServerLimits, token: str | None = None) -> Starlette:
+    """Build the ASGI application of a playground, behind its middleware.
+
+    Args:
+        playground: the page and the calls.
+        port: of the server.
+        limits: of a request.
+        token: that calls must send; None admits this machine's own page alone.
+    """
     routes = [Route("/", playground.page)]
-    for name in ("parse", "unknown", "edit", "clip", "file"):
+    for name in ("parse", "unknown", "edit", "clip", "file", "character"):
         routes.append(Route(f"/api/{name}", getattr(playground, name), methods=["POST"]))
     handlers: dict[Any, Any] = {KinegraphError: _answer_error, 404: _answer_unknown, 405: _answer_unknown}
-    guards = [Middleware(LoopbackOnlyMiddleware, port=port), Middleware(RequestGuard, limits=limits)]
+    gate = Middleware(GateMiddleware, refuse=only_loopback(port) if token is None else only_token(token))
+    guards = [gate, Middleware(RequestGuard, limits=limits)]
     return Starlette(routes=routes, exception_handlers=handlers, middleware=guards)

@@ -26,7 +26,10 @@ LINGER_SECONDS: Final = 2.0
 MOST_FRAMING: Final = 16
 """So many times the limit of a body may come for one request, read or not; beyond it the connection is cut."""
 MOST_LINES: Final = 4096
-"""Lines of one request on the wire. A chunk has two: a body in chunks of one byte costs 10 microseconds a byte."""
+"""Lines of one request on the wire. A chunk has two: a body in chunks of one byte costs 10 microseconds a byte.
+
+A body of known length is not cut into lines, so those of a file do not count.
+"""
 
 FIRST_SECONDS: Final = 0.1
 """Time that each new client has to ask, however many others wait."""
@@ -144,8 +147,11 @@ class GuardedProtocol(H11Protocol):
             self.cycle.keep_alive = False
             return
         self._bytes += len(data)
-        self._lines += data.count(b"\n")
-        if self._bytes > MOST_FRAMING * self._limits.body or self._lines > MOST_LINES:
+        self._lines += 0 if self._has_length() else data.count(b"\n")
+        if (
+            self._bytes > max(MOST_FRAMING * self._limits.body, 2 * self._limits.longest_body)
+            or self._lines > MOST_LINES
+        ):
             self.drop()
             return
         super().data_received(data)
@@ -209,6 +215,11 @@ class GuardedProtocol(H11Protocol):
         if awaited != self._awaited:
             self._awaited, self._since = awaited, self.loop.time()
             self._bytes = self._lines = 0
+
+    def _has_length(self) -> bool:
+        """Tell whether a body of known length is awaited."""
+        is_body = self._awaited is not None and self._awaited[1] == "body"
+        return is_body and any(name == b"content-length" for name, _ in self.headers)
 
     def _what_is_awaited(self) -> tuple[object, str] | None:
         if self.transport.is_closing() or self.flow.write_paused:

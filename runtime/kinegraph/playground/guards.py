@@ -7,8 +7,8 @@ from __future__ import annotations
 
 import asyncio
 import logging
-from collections.abc import Awaitable, Callable, Iterable, MutableMapping
-from dataclasses import dataclass
+from collections.abc import Awaitable, Callable, Iterable, Mapping, MutableMapping
+from dataclasses import dataclass, field
 from typing import Any, Final
 
 from starlette.responses import JSONResponse
@@ -41,6 +41,10 @@ class ServerLimits:
 
     body: int = 64 * 1024
     """Bytes of a request body; a graph of 32 nodes or 8 concepts of 512 characters fit several times."""
+    files: Mapping[str, int] = field(default_factory=dict)
+    """Path -> bytes of a request body that holds a file, where that may be more."""
+    files_at_once: int = 2
+    """Bodies with files that are held at once; one more is told to come again."""
     head: int = 16 * 1024
     """Bytes of the request line and the headers."""
     headers: int = 64
@@ -53,6 +57,15 @@ class ServerLimits:
     """Longest time in which a client reads nothing of what waits for it."""
     connections: int = 128
     """Open connections. One more ends the one that has kept the server waiting longest."""
+
+    def body_of(self, path: str) -> int:
+        """Return the bytes that a body sent to a path may have."""
+        return self.files.get(path, self.body)
+
+    @property
+    def longest_body(self) -> int:
+        """Bytes of the longest body that any path takes."""
+        return max(self.body, *self.files.values(), 0)
 
 
 class _BodyTooLargeError(Exception):
@@ -71,20 +84,36 @@ class RequestGuard:
 
     def __init__(self, app: App, limits: ServerLimits) -> None:
         self._app, self._limits = app, limits
+        self._files = 0
+        """Requests with files that are being read or served."""
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         if scope["type"] != "http":
             await self._app(scope, receive, send)
             return
+        if scope["path"] not in self._limits.files:
+            await self._guard(scope, receive, send)
+            return
+        if self._files >= self._limits.files_at_once:
+            message = {"error": "other files are being read; try again in a moment"}
+            await JSONResponse(message, 503, {"Retry-After": "2"})(scope, receive, send)
+            return
+        self._files += 1
+        try:
+            await self._guard(scope, receive, send)
+        finally:
+            self._files -= 1
+
+    async def _guard(self, scope: Scope, receive: Receive, send: Send) -> None:
         refusal, body = self._refusal(scope), b""
         if refusal is None:
             try:
                 async with asyncio.timeout(self._limits.body_seconds):
-                    body = await _read_body(receive, self._limits.body)
+                    body = await _read_body(receive, self._limits.body_of(scope["path"]))
             except _ClientLeftError:
                 return
             except _BodyTooLargeError:
-                refusal = self._too_large()
+                refusal = self._too_large(scope)
             except TimeoutError:
                 refusal = 408, f"the body did not come within {self._limits.body_seconds:g} seconds"
         if refusal is not None:
@@ -135,12 +164,12 @@ class RequestGuard:
         length = named.get(b"content-length", b"0")
         if not length.isdigit():
             return 400, "Content-Length is not a number"
-        if len(length) > 15 or int(length) > self._limits.body:
-            return self._too_large()
+        if len(length) > 15 or int(length) > self._limits.body_of(scope["path"]):
+            return self._too_large(scope)
         return None
 
-    def _too_large(self) -> tuple[int, str]:
-        return 413, f"a request may have {self._limits.body} bytes"
+    def _too_large(self, scope: Scope) -> tuple[int, str]:
+        return 413, f"a request may have {self._limits.body_of(scope['path'])} bytes"
 
 
 async def run_until_left(work: Awaitable[bytes], receive: Receive) -> bytes:

@@ -40,7 +40,7 @@ def generate_clip(
 
     Raises:
         TookTooLongError: it took `MAX_SECONDS`.
-        KinegraphError: as in `MotionPipeline.generate` and `compose`.
+        KinegraphError: as in `MotionPipeline.generate`, `compose` and `sequence`.
     """
     end = time.monotonic() + MAX_SECONDS
 
@@ -49,6 +49,23 @@ def generate_clip(
             raise TookTooLongError(f"a clip may take {MAX_SECONDS:g} seconds; ask for fewer steps or concepts")
         return on_step(info)
 
+    clip = _generate(pipeline, request, on_step_in_time, on_level)
+    clip = clip.looped(foot_fix=request.foot_fix) if request.loop else clip
+    return clip.in_place() if request.in_place else clip
+
+
+def _generate(pipeline: MotionPipeline, request: ClipRequest, on_step: OnStep, on_level: OnLevel | None) -> Clip:
+    """Generate the clip as the pipeline makes it: neither looped nor in place."""
+    if request.texts is not None:
+        return pipeline.sequence(
+            request.texts,
+            seconds=request.seconds,
+            seed=request.seed,
+            steps=request.steps,
+            guidance=request.guidance,
+            foot_fix=request.foot_fix,
+            on_step=on_step,
+        )
     if request.concepts is None:
         return pipeline.generate(
             request.text or "",
@@ -57,7 +74,7 @@ def generate_clip(
             steps=request.steps,
             guidance=request.guidance,
             foot_fix=request.foot_fix,
-            on_step=on_step_in_time,
+            on_step=on_step,
             on_level=on_level,
         )
     return pipeline.compose(
@@ -71,7 +88,7 @@ def generate_clip(
         steps=request.steps,
         guidance=request.guidance,
         foot_fix=request.foot_fix,
-        on_step=on_step_in_time,
+        on_step=on_step,
         on_level=on_level,
     )
 
@@ -98,7 +115,7 @@ class GenerationJob:
         """
         self._stage_start = time.perf_counter()
         request = self.request
-        if request.concepts is None and not isinstance(request.text, SemanticGraph):
+        if request.concepts is None and request.texts is None and not isinstance(request.text, SemanticGraph):
             graph = self.pipeline.parse(request.text or "")
             self._end_stage("parser")
             self.send({"event": "graph", "graph": graph.to_dict()})

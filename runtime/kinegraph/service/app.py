@@ -29,7 +29,8 @@ from kinegraph.pipeline import MotionPipeline
 from kinegraph.playground.app import EventStream, run_in_thread
 from kinegraph.playground.fair_queue import FairQueue, TooBusyError
 from kinegraph.playground.guards import RequestGuard, ServerLimits, run_until_left
-from kinegraph.playground.middleware import LoopbackOnlyMiddleware
+from kinegraph.playground.jobs import generate_clip
+from kinegraph.playground.middleware import GateMiddleware, only_loopback
 from kinegraph.playground.schemas import parse_json
 from kinegraph.service.openapi import API_PAGE, openapi
 from kinegraph.service.requests import MEDIA_TYPES, ServiceRequest, parse_request
@@ -177,7 +178,7 @@ class Service:
                 on_step(info)
                 return not stop.is_set()
 
-            clip = wanted.generate(self._pipeline, watch)
+            clip = generate_clip(self._pipeline, wanted.clip, watch)
             generated = time.perf_counter()
             data, fps = wanted.encode(clip)
             return clip, data, fps, generated - start, time.perf_counter() - generated
@@ -272,6 +273,6 @@ def application(service: Service, port: int, limits: ServerLimits, outermost: Mi
         Route("/v1/metrics", service.metrics),
     ]
     handlers: dict[Any, Any] = {KinegraphError: _answer_error, 404: _answer_unknown, 405: _answer_unknown}
-    admit = outermost or Middleware(LoopbackOnlyMiddleware, port=port)
+    admit = outermost or Middleware(GateMiddleware, refuse=only_loopback(port))
     guards = [admit, Middleware(RequestGuard, limits=limits)]
     return Starlette(routes=routes, exception_handlers=handlers, middleware=guards)

@@ -19,7 +19,11 @@ _PROPERTIES: Final[dict[str, dict[str, Any]]] = {
         "items": {"type": "object", "properties": {"text": _TEXT, "weight": _NUMBER}, "required": ["text"]},
         "description": "motions at once; a negative weight takes one away",
     },
-    "texts": {"type": "array", "items": _TEXT, "description": "sentences of a sequence, in order"},
+    "texts": {
+        "type": "array",
+        "items": {"type": ["string", "object"]},
+        "description": "sentences or graphs of a sequence",
+    },
     "seconds": {"type": ["number", "array"], "description": "length; of a sequence one, or one for each part"},
     "seed": {"type": "integer", "minimum": 0, "description": "the same seed gives the same clip"},
     "steps": {"type": ["integer", "array"], "description": "diffusion steps, one number or one for each level"},

@@ -4,26 +4,18 @@ from __future__ import annotations
 
 import contextlib
 import hmac
-import os
 import socket
 from collections.abc import Callable
 from pathlib import Path
-from typing import Final
 
 from starlette.middleware import Middleware
 from starlette.responses import JSONResponse
 
-from kinegraph.errors import InvalidInputError, OutputError
 from kinegraph.pipeline import MotionPipeline
 from kinegraph.playground.connections import GuardedServer
 from kinegraph.playground.guards import App, Receive, Scope, Send, ServerLimits
-from kinegraph.playground.server import ADDRESS, listen, warm_up
+from kinegraph.playground.server import ADDRESS, warm_up
 from kinegraph.service.app import Service, application
-
-SHORTEST_TOKEN: Final = 16
-"""Characters."""
-TOKEN_VARIABLE: Final = "KINEGRAPH_TOKEN"
-"""Environment variable of the token: arguments of a program are seen by all users of a machine."""
 
 
 class TokenMiddleware:
@@ -47,33 +39,6 @@ class TokenMiddleware:
                 await JSONResponse(message, 401, wanted)(scope, receive, send)
                 return
         await self._app(scope, receive, send)
-
-
-def open_socket(host: str | None, port: int, token: str | None) -> socket.socket:
-    """Open the socket of a service.
-
-    Args:
-        host: address to answer at; None is this machine alone.
-        port: 0 takes any free port.
-        token: that requests must send.
-
-    Raises:
-        InvalidInputError: another host without a token, a token that is too short, or no port.
-        OutputError: the address cannot be used.
-    """
-    if token is not None and (len(token) < SHORTEST_TOKEN or not token.isascii() or not token.isprintable()):
-        raise InvalidInputError(f"the token must have {SHORTEST_TOKEN} or more ASCII characters; openssl rand -hex 16")
-    if host is None:
-        return listen(port)
-    if token is None:
-        raise InvalidInputError(f"--host lets other machines in; give them a --token, or set {TOKEN_VARIABLE}")
-    if not 0 <= port <= 65535:
-        raise InvalidInputError(f"port must be 0 to 65535, not {port}")
-    try:
-        return socket.create_server((host, port), backlog=128)
-    except (OSError, OverflowError, UnicodeError) as error:
-        reason = getattr(error, "strerror", None) or str(error)
-        raise OutputError(f"{host}:{port} cannot be used ({reason}); choose another --host or --port") from error
 
 
 def serve(
@@ -115,8 +80,3 @@ class ServiceServer(GuardedServer):
     async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
         self._service.stop()
         await super().shutdown(sockets)
-
-
-def token_of(argument: str | None) -> str | None:
-    """Return the token of the command line, or of the environment."""
-    return argument if argument is not None else os.environ.get(TOKEN_VARIABLE) or None
