@@ -1,4 +1,4 @@
-"""Make the pictures of the pages: play.jpg, phone.jpg and view.jpg.
+"""Make the pictures of the pages: play.jpg, timeline.jpg, phone.jpg and view.jpg.
 
     python docs/pictures/pages.py
 
@@ -7,13 +7,15 @@ Needs the extras text, play and browser, and a chromium.
 
 from __future__ import annotations
 
+import json
 import shutil
 import tempfile
 import threading
+from collections.abc import Callable
 from pathlib import Path
 from urllib.parse import urlencode
 
-from playwright.sync_api import Browser, sync_playwright
+from playwright.sync_api import Browser, Page, sync_playwright
 
 from kinegraph import MotionPipeline
 from kinegraph.formats.html import clips_page
@@ -23,10 +25,25 @@ from kinegraph.playground.server import Server, listen, warm_up
 HERE = Path(__file__).parent
 FLAGS = ["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
 TEXT = "a person walks forward while waving the right hand"
+SCENE = ["a person walks forward", "a person waves both hands", "a person walks in a circle to the left"]
+Author = Callable[[Page], None]
+
+
+def make_takes(page: Page) -> None:
+    """Ask for more takes, and wait for them."""
+    page.get_by_role("button", name="More takes").click()
+    page.locator(".take").nth(3).wait_for(timeout=120_000)
+    page.wait_for_timeout(500)
+
+
+def open_code(page: Page) -> None:
+    """Scroll to the program for what is seen."""
+    page.get_by_text("As a program").click()
+    page.locator(".code pre").scroll_into_view_if_needed()
 
 
 def take_picture(
-    browser: Browser, url: str, name: str, size: tuple[int, int], scheme: str, at: float, *, generate: bool
+    browser: Browser, url: str, name: str, size: tuple[int, int], scheme: str, at: float, author: Author | None = None
 ) -> None:
     """Take a picture of a page.
 
@@ -37,7 +54,7 @@ def take_picture(
         size: width and height of the window.
         scheme: "light" or "dark".
         at: time of the clip to show, in seconds.
-        generate: whether to press Generate first.
+        author: what is done on the page of the playground before the picture.
     """
     width, height = size
     context = browser.new_context(
@@ -46,11 +63,11 @@ def take_picture(
     page = context.new_page()
     page.goto(url)
     page.wait_for_selector("html[data-ready]", state="attached")
-    if generate:
-        for press in (1, 2):  # the first press also compiles shaders, which the times on the page would show
-            page.get_by_role("button", name="Generate").click()
-            page.wait_for_selector(f"html[data-made='{press}']", state="attached")
-        page.locator(".sampling summary").click()  # close the settings, which the link has opened
+    if author is not None:
+        page.wait_for_selector("html[data-made='1']", state="attached", timeout=120_000)  # the clip of the link
+        author(page)
+        if page.locator(".sampling").get_attribute("open") is not None:
+            page.locator(".sampling summary").click()  # close the settings, which the link has opened
     page.locator(".scrub").fill(str(at))
     page.locator("h1").click()
     page.wait_for_timeout(1000)
@@ -69,13 +86,17 @@ def main() -> None:
         thread.start()
         browser = driver.chromium.launch(executable_path=shutil.which("chromium"), args=FLAGS)
         link = f"http://127.0.0.1:{port}/#{urlencode({'text': TEXT, 'seconds': 4, 'seed': 4})}"
-        take_picture(browser, link, "play.jpg", (1280, 800), "light", 2.0, generate=True)
-        take_picture(browser, link, "phone.jpg", (390, 844), "light", 2.0, generate=True)
+        take_picture(browser, link, "play.jpg", (1280, 800), "light", 2.0, make_takes)
+        take_picture(browser, link, "phone.jpg", (390, 844), "light", 2.0, lambda page: None)
+        scene = {"texts": json.dumps(SCENE), "seconds": "3,2.5,3", "seed": 7}
+        take_picture(
+            browser, f"http://127.0.0.1:{port}/#{urlencode(scene)}", "timeline.jpg", (1280, 800), "dark", 6.4, open_code
+        )
         turns = ("a person walks and turns to the left", "a person walks and turns to the right")
         clips = [pipe.generate(text, seconds=4, seed=6) for text in turns]
         file = Path(folder) / "view.html"
         file.write_bytes(clips_page(clips))
-        take_picture(browser, file.as_uri(), "view.jpg", (1080, 620), "dark", 3.2, generate=False)
+        take_picture(browser, file.as_uri(), "view.jpg", (1080, 620), "dark", 3.2)
         browser.close()
         server.should_exit = True
         thread.join()

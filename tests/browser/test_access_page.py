@@ -41,6 +41,7 @@ CONTRASTS = """() => {
   return [...document.querySelectorAll("body *")]
     .filter((one) => one.checkVisibility() && [...one.childNodes].some((n) => n.nodeType === 3 && n.data.trim()))
     .filter((one) => !["SCRIPT", "STYLE", "OPTION", "NOSCRIPT"].includes(one.tagName))
+    .filter((one) => getComputedStyle(one).color !== "rgba(0, 0, 0, 0)")
     .map((one) => {
       const [a, b] = [channels(getComputedStyle(one).color), ground(one)].map(lightness).sort((p, q) => q - p);
       return [one.className || one.tagName, one.innerText, (a + 0.05) / (b + 0.05)];

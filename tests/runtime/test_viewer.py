@@ -6,6 +6,8 @@ import base64
 import gzip
 import hashlib
 import json
+import shutil
+import subprocess
 import webbrowser
 from dataclasses import replace
 from html.parser import HTMLParser
@@ -115,7 +117,7 @@ def test_nothing_comes_from_elsewhere_and_only_its_own_script_may_run() -> None:
         "default-src": "'none'",
         "script-src": f"'sha256-{sha256(script)}'",
         "style-src": f"'sha256-{sha256(style)}'",
-        "img-src": "data:",
+        "img-src": "data: blob:",
         "connect-src": "'none'",
         "base-uri": "'none'",
         "form-action": "'none'",
@@ -205,3 +207,12 @@ def test_view_refuses_what_it_cannot_show(here: Path, opened: list[str], capsys:
     (here / "page.html").write_text("mine")
     assert "exists" in fails(capsys, "view", "one.npz", "-o", "page.html")
     assert (here / "page.html").read_text() == "mine" and opened == []
+
+
+def test_modules_of_the_page_pass_their_own_tests() -> None:
+    node = shutil.which("node")
+    if node is None or not (SOURCES / "tests").is_dir():
+        pytest.skip("needs node, and the sources of the page")
+    files = sorted(map(str, (SOURCES / "tests").glob("*.test.mjs")))
+    found = subprocess.run([node, "--test", *files], capture_output=True, text=True, timeout=120)
+    assert found.returncode == 0 and len(files) >= 5, found.stdout[-3000:]

@@ -51,15 +51,20 @@ def changed(before: bytes, after: bytes) -> float:
 
 def settings(page: Page, **values: str) -> None:
     """Fill in length, seed, guidance and steps."""
-    if not page.get_by_label("Seconds").is_visible():
+    if not page.locator(".sampling [name=seconds]").is_visible():
         page.get_by_text("Length, seed, steps").click()
     for name, value in values.items():
-        page.get_by_label(name.capitalize()).fill(value)
+        page.locator(f".sampling [name={name}]").fill(value)
 
 
 def clips_shown(page: Page) -> int:
-    """Count the clips that the page has shown."""
+    """Count the clips that the page has made and shown."""
     return int(page.locator("html").get_attribute("data-made") or 0)
+
+
+def shows(page: Page) -> int:
+    """Count the clips that the page has shown, also those that it had already."""
+    return int(page.locator("html").get_attribute("data-shown") or 0)
 
 
 def generate(page: Page, text: str = TEXT, **values: str) -> None:
@@ -71,8 +76,10 @@ def generate(page: Page, text: str = TEXT, **values: str) -> None:
     wait_until(page, lambda: clips_shown(page) > before)
 
 
-def download(page: Page, suffix: str) -> bytes:
+def download(page: Page, suffix: str, name: str | None = None) -> bytes:
+    """Fetch the file of a format; `name` is what it must be called."""
     with page.expect_download(timeout=60_000) as waiting:
         page.locator(f"[data-suffix='{suffix}']").click()
-    assert re.fullmatch(rf"\w+_\d+{re.escape(suffix)}", waiting.value.suggested_filename)  # words and seed
+    pattern = rf"\w+_\d+{re.escape(suffix)}" if name is None else re.escape(name)  # words and seed
+    assert re.fullmatch(pattern, waiting.value.suggested_filename), waiting.value.suggested_filename
     return Path(waiting.value.path()).read_bytes()

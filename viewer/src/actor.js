@@ -1,5 +1,5 @@
-// A clip as something that moves: the skinned body of its GLB, and the trail of its root on the floor.
-import { AnimationMixer, BufferAttribute, BufferGeometry, DoubleSide, Mesh, MeshBasicMaterial, Vector3 } from "three";
+// A clip as something that moves: the skinned body of its GLB or a character, and the trail of its root on the floor.
+import { AnimationMixer, BufferAttribute, BufferGeometry, DoubleSide, Mesh, MeshBasicMaterial, PropertyBinding, Vector3 } from "three";
 import { GLTFLoader } from "three/addons/loaders/GLTFLoader.js";
 
 const RIBBON = 0.022; // half the trail's width, metres
@@ -12,35 +12,45 @@ export async function unpacked(text) {
   return new Response(stream).arrayBuffer();
 }
 
-/** clip: {text, seed, fps, frames, glb}. */
-export async function loadActor(clip) {
-  const model = await new GLTFLoader().parseAsync(await unpacked(clip.glb), "");
-  const motion = model.animations[0];
-  const root = motion.tracks.find((track) => track.name.endsWith(".position")).values;
+/**
+ * @param clip {text, seed, fps, frames, glb}
+ * @param character bytes of a character's file whose last animation is the clip; null is our own body
+ */
+export async function loadActor(clip, character = null) {
+  const model = await new GLTFLoader().parseAsync(character ?? (await unpacked(clip.glb)), "");
+  const motion = model.animations.at(-1);
   const mixer = new AnimationMixer(model.scene);
   mixer.clipAction(motion).play();
-  let body;
+  const meshes = [];
   model.scene.traverse((part) => {
-    if (!part.isSkinnedMesh) return;
-    body = part;
+    if (!part.isMesh) return;
+    meshes.push(part);
     part.castShadow = true;
     part.frustumCulled = false; // its bounds are those of the rest pose
   });
   const last = clip.frames - 1;
-  const path = Array.from({ length: clip.frames }, (_, k) => new Vector3(root[3 * k], 0, root[3 * k + 2]));
+  const path = floorPath(model.scene, motion, clip);
   const targets = averaged(path, Math.round(CALM * clip.fps));
   const trail = ribbon(path);
   return {
     clip,
-    body,
+    /** The mesh of our own body, which takes the colours of the page. */
+    body: character ? null : meshes[0],
     model: model.scene,
     trail,
+    path,
     duration: last / clip.fps,
     /** Pose the body and draw the trail up to a time; a clip that is over stays in its last pose. */
     pose(time) {
       const now = Math.min(time, last / clip.fps);
       mixer.setTime(Math.min(now, motion.duration - 1e-4));
       trail.past.geometry.setDrawRange(0, 6 * Math.floor(now * clip.fps));
+    },
+    /** Where the joints are at a time: [x, y, z] each; null where this body has none of a name. */
+    joints(names, time) {
+      this.pose(time);
+      model.scene.updateMatrixWorld(true);
+      return names.map((name) => model.scene.getObjectByName(name)?.getWorldPosition(new Vector3()).toArray() ?? null);
     },
     /** Where the camera looks, on the floor. */
     target(time) {
@@ -49,13 +59,25 @@ export async function loadActor(clip) {
       return targets[before].clone().lerp(targets[Math.min(before + 1, last)], at - before);
     },
     dispose() {
-      for (const mesh of [body, trail.past, trail.whole]) {
+      for (const mesh of [...meshes, trail.past, trail.whole]) {
         mesh.geometry.dispose();
-        mesh.material.dispose();
+        for (const material of [].concat(mesh.material)) {
+          for (const part of Object.values(material)) if (part?.isTexture) part.dispose();
+          material.dispose();
+        }
+        mesh.skeleton?.dispose();
       }
-      body.skeleton.dispose();
     },
   };
+}
+
+/** Where the root is above the floor, frame by frame: of the first joint that moves from its place. */
+function floorPath(scene, motion, { frames, fps }) {
+  const track = motion.tracks.find(({ name }) => name.endsWith(".position"));
+  const { parent } = PropertyBinding.findNode(scene, PropertyBinding.parseTrackName(track.name).nodeName);
+  parent.updateWorldMatrix(true, false);
+  const place = track.createInterpolant();
+  return Array.from({ length: frames }, (_, k) => new Vector3().fromArray(place.evaluate(k / fps)).applyMatrix4(parent.matrixWorld).setY(0));
 }
 
 /** Running mean over `width` frames to both sides. */

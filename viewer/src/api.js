@@ -1,11 +1,26 @@
-// The server's five calls. It keeps nothing about us; the tab's number only says whose turn it is.
+// The server's six calls. It keeps nothing about us; the tab's number only says whose turn it is.
 const TAB = crypto.getRandomValues(new Uint32Array(2)).join("-");
 
-async function post(path, value, signal) {
+/** The token of a playground that other devices may use: from the link, which then forgets it, and kept by the tab. */
+const TOKEN = (() => {
+  const given = new URLSearchParams(location.hash.slice(1));
+  const token = given.get("token");
+  try {
+    if (token === null) return sessionStorage.getItem("kinegraph-token");
+    sessionStorage.setItem("kinegraph-token", token);
+  } catch {
+    // without storage it lasts until the page is reloaded
+  }
+  given.delete("token");
+  history.replaceState(null, "", given.size ? `#${given}` : location.pathname);
+  return token;
+})();
+
+async function post(path, value, signal, body = JSON.stringify(value), kind = "application/json") {
   let answer;
   try {
-    const headers = { "Content-Type": "application/json", "Kinegraph-Tab": TAB };
-    answer = await fetch(path, { method: "POST", body: JSON.stringify(value), signal, headers });
+    const headers = { "Content-Type": kind, "Kinegraph-Tab": TAB, ...(TOKEN && { Authorization: `Bearer ${TOKEN}` }) };
+    answer = await fetch(path, { method: "POST", body, signal, headers });
   } catch (error) {
     if (error.name === "AbortError") throw error;
     throw new Error("The server does not answer. Is kinegraph play still running?");
@@ -22,7 +37,13 @@ export const edit = async (graph, change) => (await post("/api/edit", { graph, e
 export const unknown = async (graph, signal) => (await post("/api/unknown", { graph }, signal)).json();
 
 /** The file of the clip that a wish with a seed makes. */
-export const file = async (wish, suffix, names) => (await post("/api/file", { wish, suffix, names })).blob();
+export const file = async (wish, suffix, options) => (await post("/api/file", { wish, suffix, ...options })).blob();
+
+/** The file of a character that makes the clip of a wish with a seed. */
+export async function character(wish, { name, data }, options = {}, signal = undefined) {
+  const body = new Blob([JSON.stringify({ wish, name, ...options }), "\n", data]);
+  return (await post("/api/character", null, signal, body, "application/octet-stream")).arrayBuffer();
+}
 
 /** Events of a clip in the making, as they come; leaving the loop or aborting stops the server, too. */
 export async function* clip(wish, signal) {

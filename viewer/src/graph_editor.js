@@ -1,11 +1,13 @@
 // The graph of the sentence in the box: parsed while one types, edited by the server, weighed here.
 import * as api from "./api.js";
 import { drawGraph, isPlain, withWeight } from "./graph.js";
+import { replaced } from "./phrases.js";
 import { tell } from "./told.js";
 
 const PAUSE = 350; // milliseconds without a key before a sentence is parsed
 
-export function createGraphEditor(side, text, play, { again, fail }) {
+/** on: {again(), fail(error), marks(unknown)}; marks shows unknown words where they stand. */
+export function createGraphEditor(side, text, play, { again, fail, marks }) {
   const [section, box, reset, told] = [".graph-box", ".graph", ".as-parsed", "#told"].map((name) => side.querySelector(name));
   let graph = null;
   let source = null; // the sentence that the graph belongs to
@@ -29,7 +31,16 @@ export function createGraphEditor(side, text, play, { again, fail }) {
   /** Tell under the sentence what the bundle does not know of it. */
   async function look(own) {
     const answer = own ? await api.unknown(own).catch(() => ({})) : {};
-    if (own === graph) tell(told, answer);
+    if (own !== graph) return;
+    tell(told, answer, say);
+    marks(answer.unknown ?? []);
+  }
+
+  /** Put a known phrase in place of unknown words. */
+  function say(words, phrase) {
+    text.value = replaced(text.value, words, phrase);
+    text.focus();
+    parse();
   }
 
   function weigh(number, weight) {
@@ -89,7 +100,14 @@ export function createGraphEditor(side, text, play, { again, fail }) {
       clearTimeout(timer);
       if (!current() && asking.text === text.value.trim()) set(found, !isPlain(found));
     },
-    set: (found) => set(found, true),
+    /** The segment of a project whose text stands in the box already; its graph, or `known`, or else it is parsed. */
+    load(segment, known) {
+      clearTimeout(timer);
+      asked?.abort();
+      if (segment.graph) set(segment.graph, true);
+      else if (known && isPlain(known)) set(known, false);
+      else if (!current() || edited) parse();
+    },
     visible(is) {
       shown = is;
       section.hidden = !shown || !graph;

@@ -9,11 +9,13 @@ async function start() {
   const data = JSON.parse(document.getElementById("data").textContent);
   const side = document.querySelector(".side");
   const stage = createStage(document.querySelector(".view"));
-  const transport = createTransport(document.querySelector(".transport"), stage);
-  if (data.play) openPlayground(side, data.play, stage, transport);
+  const clock = new EventTarget(); // tells every time that is shown, as an event "time"
+  const ontime = (seconds) => clock.dispatchEvent(new CustomEvent("time", { detail: seconds }));
+  const transport = createTransport(document.querySelector(".transport"), stage, ontime);
+  if (data.play) await openPlayground(side, data.play, stage, transport, clock);
   else {
     describeClips(side, data.clips);
-    stage.show(await Promise.all(data.clips.map(loadActor)));
+    stage.show(await Promise.all(data.clips.map((clip) => loadActor(clip))));
     transport.restart();
   }
   document.documentElement.dataset.ready = "";

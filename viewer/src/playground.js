@@ -1,88 +1,95 @@
-// kinegraph play: the form, the run, and what came of it.
+// kinegraph play: what is authored, its history, and what of it is seen.
+//
+// A project (project.js) is shown in the form (form.js), made by the server (maker.js), and drawn on the stage. Every
+// made clip is a step of the history and a take of its words. Clips are kept here for a while: to undo makes nothing.
 import { loadActor } from "./actor.js";
 import * as api from "./api.js";
-import { createConcepts } from "./concepts.js";
+import { createCharacters } from "./characters.js";
+import { createConstraining } from "./constraining.js";
 import { named } from "./describe.js";
-import { createGraphEditor } from "./graph_editor.js";
-import { linked } from "./link.js";
-import { createMixing } from "./mixing.js";
+import { createForm } from "./form.js";
+import { createHistory } from "./history.js";
+import { createKeep } from "./keep.js";
+import { createKeys } from "./keys.js";
+import { linked, linkOf } from "./link.js";
+import { createMaker } from "./maker.js";
+import { createOutput } from "./output.js";
+import { inserted, kindOf, newProject, projectOf, wishOf } from "./project.js";
+import { createProjectFiles } from "./project_file.js";
 import { createResult } from "./result.js";
+import { createTakes } from "./takes.js";
+import { createTimeline } from "./timeline.js";
+import { createMarks, createWords } from "./words.js";
 
-const START = [{ text: "a person walks forward", weight: 1 }, { text: "a person waves the right hand", weight: 1 }];
 const KEPT = 3; // clips beside the newest
-const LEVELS = { motion: "whole motion", action: "actions", specific: "details" };
-const SAMPLING = ["seconds", "seed", "guidance", "steps"];
+const MOST_CLIPS = 40; // kept to be shown again: 100 kB each
+const NEXT = "a person stands still";
+const NEXT_SECONDS = 2;
+const STRIP_TIME = 0.6; // of a clip: when it is drawn for the strip
 
-export function openPlayground(side, play, stage, transport) {
+const count = (name) => {
+  const { dataset } = document.documentElement;
+  dataset[name] = Number(dataset[name] ?? 0) + 1;
+};
+
+export async function openPlayground(side, play, stage, transport, clock) {
   side.append(document.getElementById("playground").content);
-  const at = (name) => side.querySelector(name);
-  const form = at(".wish");
-  const field = form.elements;
-  const result = createResult(at(".result"), play, fail);
-  const concepts = createConcepts(at(".concepts .rows"), at(".add-concept"), () => again());
-  const mixing = createMixing(at(".mixing"), play, () => field.method.value, () => again());
-  const graph = createGraphEditor(side, field.text, play, { again: () => again(), fail });
-  let kept = [];
-  let newest = null; // the newest clip that is done
+  side.before(document.getElementById("authoring").content);
+  const at = (name) => document.querySelector(name);
+  const made = new Map(); // wish with its seed, as JSON -> the server's event
+  let project = newProject(play.example);
+  let selected = 0; // segment in the form
+  let seed = null; // of the clip that is seen
+  let kept = []; // actors beside it
+  let newest = null; // the clip that is seen
   let shown = null; // its actor
   let front = null; // what is seen now: that, or a sketch
+  let time = 0; // of the clip that is seen, seconds
+  let dragging = false;
+  let wanted = null; // the newest place of what is being dragged
   let shows = 0; // how often something was to be shown
-  let run = null; // AbortController of the clip in the making
-  let last = null; // the wish of the newest clip, its seed included
 
-  const bar = document.querySelector(".bar");
-  const [status, count] = document.querySelectorAll(".status span");
-
-  /** `detail` changes too often to be read out. */
-  function say(text, part = null, detail = "") {
-    if (status.textContent !== text) status.textContent = text;
-    count.textContent = detail;
-    bar.hidden = part === null;
-    bar.firstElementChild.style.width = `${100 * (part ?? 0)}%`;
-  }
-
-  function fail(error) {
+  const fail = (error) => {
     at(".error").hidden = !error;
     at(".error").textContent = error?.message ?? "";
-  }
+  };
+  const keep = createKeep();
+  const history = createHistory(() => {
+    at(".undo").disabled = !history.canUndo;
+    at(".redo").disabled = !history.canRedo;
+    keep.save(history);
+  });
+  const form = createForm(side, play, { again, fail, marks: (unknown) => marks.show(unknown) });
+  const { field } = form;
+  const marks = createMarks(field.text, at(".behind"));
+  const words = createWords(at(".words"), field.text, play.phrases, say);
+  const result = createResult(at(".result"), () => linkOf(wishOf(project, seed), project.output));
+  const takes = createTakes(at(".takes"), { pick, more }, drawTake);
+  const output = createOutput(at(".export"), play, { shape, output: files, fetch: fetchFile, fail });
+  const characters = createCharacters(at(".character"), at(".dropping"), play.character_bytes, { changed: dress, fail, project: (file) => projectFiles.open(file) });
+  const timeline = createTimeline(at(".timeline"), play.seconds, { read: () => read(), select, change, add, seek: transport.seek });
+  clock.addEventListener("time", (event) => timeline.at((time = event.detail)));
+  const constraining = createConstraining(at(".timeline"), at(".view"), stage, play, {
+    project: () => project,
+    clip: () => newest,
+    body: async () => (shown?.body ? shown : loadActor(newest)),
+    time: () => time,
+    now: () => timeline.now,
+    whole: () => timeline.whole,
+    change: constrain,
+    colour: stage.colour,
+    say: (text) => maker.say(text),
+  });
+  const projectFiles = createProjectFiles(at(".tools .menu"), history, { opened: () => go(history.now), fresh, fail });
+  const maker = createMaker({ show, isFront: (actor) => front === actor, back, busy, fail, graph: form.graph.parsed });
+  const read = () => form.read(project, selected);
 
-  /** What the form asks for; only what differs from the bundle's own. */
-  function wish() {
-    const composing = field.mode.value === "concepts";
-    const asked = composing ? { concepts: concepts.get(), method: field.method.value, ...mixing.get() } : graph.wish();
-    for (const name of SAMPLING) {
-      const value = field[name].value.trim();
-      if (value) asked[name] = value;
-    }
-    if (!field.foot_fix.checked) asked.foot_fix = false;
-    return asked;
-  }
-
-  function fill(asked) {
-    field.mode.value = asked.concepts ? "concepts" : "sentence";
-    if (asked.concepts) {
-      concepts.set(asked.concepts);
-      field.method.value = asked.method ?? "fused";
-      mixing.set(asked);
-    } else if (asked.text) field.text.value = asked.text;
-    if (asked.graph) graph.set(asked.graph);
-    for (const name of SAMPLING) field[name].value = asked[name] ?? "";
-    field.foot_fix.checked = asked.foot_fix ?? true;
-    at(".sampling").open = [...SAMPLING, "foot_fix"].some((name) => name in asked);
-    switchMode();
-  }
-
-  function switchMode() {
-    const composing = field.mode.value === "concepts";
-    at(".sentence").hidden = composing;
-    at(".concepts").hidden = !composing;
-    graph.visible(!composing);
-  }
+  // -- what is seen -------------------------------------------------------------------------------------------------
 
   /** Show a clip or sketch; one that a later one overtakes while it is unpacked is left out. */
-  async function show(clip, restart) {
+  async function show(clip, restart, character = null) {
     const own = ++shows;
-    const actor = await loadActor(clip);
+    const actor = await loadActor(clip, character);
     if (own !== shows) {
       actor.dispose();
       return null;
@@ -95,10 +102,10 @@ export function openPlayground(side, play, stage, transport) {
   }
 
   /** What was seen before a clip that did not come about. */
-  async function goBack() {
+  async function back() {
     shows += 1; // a sketch that is being unpacked comes too late
     if (front === shown) return;
-    if (newest && !kept.includes(shown)) shown = (await show(newest, false)) ?? shown;
+    if (newest && !kept.includes(shown)) shown = (await show(newest, false, await dressed(newest))) ?? shown;
     else {
       stage.show(kept);
       front = shown;
@@ -107,89 +114,228 @@ export function openPlayground(side, play, stage, transport) {
   }
 
   function busy(is) {
+    if (is) shows += 1;
     const buttons = [".cancel", ".keep", ".alone"].map(at);
     const focused = document.activeElement;
     at(".cancel").hidden = !is;
     at(".keep").hidden = is || !shown || kept.includes(shown) || kept.length >= KEPT;
     at(".alone").hidden = is || !kept.length;
-    form.setAttribute("aria-busy", is);
+    form.element.setAttribute("aria-busy", is);
     if (focused.hidden && buttons.includes(focused)) at(".generate").focus(); // the keyboard stays where it was
   }
 
-  /** Make a clip; a run that is under way gives way. One that only `changes` the last plays on from where that is. */
-  async function generate(asked, changes = false) {
-    run?.abort();
-    shows += 1;
-    const own = (run = new AbortController());
-    const pressed = performance.now();
-    const seen = { sketch: null, clip: null }; // milliseconds until each was drawn
-    let [begun, complete] = [changes, false];
-    const drawn = async (clip, what) => {
-      const actor = await show(clip, !begun);
-      if (!actor) return null;
-      begun = true;
-      // a hidden tab draws nothing, and would wait for ever
-      if (!document.hidden) await new Promise(requestAnimationFrame);
-      if (front === actor) seen[what] ??= performance.now() - pressed; // else it was overtaken before it was drawn
-      return actor;
-    };
-    fail(null);
-    busy(true);
-    say("Asking", 0);
-    try {
-      for await (const event of api.clip(asked, own.signal)) {
-        if (own.signal.aborted) return;
-        if (event.event === "queued") say(event.ahead ? `Waiting for ${event.ahead} before this` : "Starting", 0);
-        if (event.event === "graph") graph.parsed(event.graph, asked);
-        if (event.event === "step") {
-          say(`Finding the ${LEVELS[event.level]}`, event.done / event.total, `, step ${event.step} of ${event.steps}`);
-        }
-        if (event.event === "error") throw new Error(event.message);
-        if (event.event === "level") {
-          const sketch = { ...event.clip, label: `Sketch of the ${LEVELS[event.level]}` };
-          drawn(sketch, "sketch").catch(fail); // not waited for: what follows may overtake it
-        }
-        if (event.event === "clip") {
-          const clip = { ...event.clip, label: named(event.clip, asked) };
-          const actor = await drawn(clip, "clip");
-          if (own.signal.aborted) return;
-          [newest, shown, complete] = [clip, actor, true];
-          last = { ...asked, seed: event.clip.seed };
-          result.show(event, last, seen);
-          document.documentElement.dataset.made = Number(document.documentElement.dataset.made ?? 0) + 1;
-        }
-      }
-      if (!complete) throw new Error("The server ended before the clip was done.");
-    } catch (error) {
-      if (error.name !== "AbortError") fail(error);
-    } finally {
-      if (run === own) {
-        run = null;
-        if (!complete) await goBack();
-        if (!run) {
-          say("");
-          busy(false);
-        } // else another has begun meanwhile
-      }
-    }
+  /** The own character with a clip of the present project, or null. */
+  const dressed = (clip, signal) =>
+    characters.current ? api.character(wishOf(project, clip.seed), characters.current, {}, signal) : null;
+
+  /** What stands around a clip that is seen now. */
+  function settle(event, actor, seen = null) {
+    [newest, shown, seed] = [event.clip, actor, event.clip.seed];
+    result.show(event.clip, event.stages, seen);
+    at(".export").hidden = false;
+    output.show(event.clip, wishOf(project, seed), characters.current?.name ?? null);
+    timeline.show(project, selected, event.clip.frames / event.clip.fps);
+    constraining.show(event.clip.misses ?? []);
+    takes.add(kindOf(project), seed, event);
+    takes.show(kindOf(project), seed);
+    takes.lock.checked = "seed" in project.sampling;
+    history.amend({ seed });
+    count("shown");
+  }
+
+  function remember(wish, event) {
+    made.set(JSON.stringify(wish), event);
+    if (made.size > MOST_CLIPS) made.delete(made.keys().next().value);
+  }
+
+  // -- making -------------------------------------------------------------------------------------------------------
+
+  /** Make a clip of a project, as a new step. One that only `changes` what is seen plays on from where that is. */
+  async function make(next, { changes = false, own = next.sampling.seed, step = true } = {}) {
+    project = next;
+    selected = Math.min(selected, project.segments.length - 1);
+    if (step) history.push({ project });
+    const wish = wishOf(project, own);
+    const done = await maker.make(wish, { changes, sketches: !characters.current, finish: dressed });
+    if (!done?.actor) return false;
+    remember(wishOf(project, done.event.clip.seed), done.event);
+    settle(done.event, done.actor, done.seen);
+    count("made");
+    return true;
   }
 
   /** The same clip with what has just been changed. */
   function again() {
-    if (last && (run || shown)) generate({ ...wish(), seed: field.seed.value.trim() || last.seed }, true);
+    if (!newest && !maker.running) return;
+    const next = read();
+    make(next, { changes: true, own: next.sampling.seed ?? seed ?? undefined });
   }
 
-  form.addEventListener("submit", (event) => {
+  /** Show a step: from what is kept here, or made anew. */
+  async function go(entry, changes = false) {
+    if (!entry) return;
+    maker.cancel();
+    project = entry.project;
+    selected = Math.min(selected, project.segments.length - 1);
+    const event = made.get(JSON.stringify(wishOf(project, entry.seed)));
+    form.fill(project, selected, event && !project.concepts ? event.clip.graph : null);
+    output.fill(project);
+    fail(null);
+    if (!event) return make(project, { own: entry.seed ?? project.sampling.seed, changes, step: false });
+    const clip = { ...event.clip, label: named(event.clip, wishOf(project, event.clip.seed)) };
+    const actor = await show(clip, !changes, await dressed(event.clip));
+    if (actor) settle(event, actor);
+    busy(false);
+  }
+
+  function say(sentence) {
+    field.text.value = sentence;
+    field.text.dispatchEvent(new Event("input"));
+    form.element.requestSubmit();
+  }
+
+  // -- timeline -----------------------------------------------------------------------------------------------------
+
+  const drawTimeline = () => timeline.show(project, selected, newest ? newest.frames / newest.fps : 0);
+
+  /** Another segment into the form; what stands there is kept, and made when it is asked for. */
+  function select(which) {
+    project = read();
+    selected = which;
+    form.fill(project, selected);
+    drawTimeline();
+  }
+
+  /** A project that was changed on the timeline is made at once, with the same seed. */
+  function change(next, which) {
+    selected = which;
+    form.fill(next, selected);
+    timeline.show(next, selected, newest ? newest.frames / newest.fps : 0);
+    make(next, { changes: true, own: next.sampling.seed ?? seed ?? undefined });
+  }
+
+  /** Other constraints, made at once; while one is dragged, always the newest place, and one after another. */
+  async function constrain(constraints, done) {
+    const next = { ...read(), constraints };
+    const own = next.sampling.seed ?? seed ?? undefined;
+    wanted = done ? null : next;
+    if (done) {
+      project = next;
+      constraining.show([]);
+      return make(next, { changes: true, own });
+    }
+    if (dragging) return false;
+    dragging = true;
+    while (wanted) {
+      const now = wanted;
+      wanted = null;
+      await make(now, { changes: true, own, step: false });
+    }
+    dragging = false;
+    return true;
+  }
+
+  function add() {
+    const whole = timeline.timed();
+    const next = inserted(whole, selected + 1, { text: NEXT, seconds: NEXT_SECONDS });
+    if (next === whole) return;
+    change(next, selected + 1);
+    field.text.focus();
+    field.text.select();
+  }
+
+  // -- takes --------------------------------------------------------------------------------------------------------
+
+  function pick(own) {
+    const next = read();
+    if ("seed" in next.sampling) next.sampling.seed = own;
+    history.push({ project: next, seed: own });
+    return go(history.now);
+  }
+
+  async function more(seeds) {
+    const [kind, of] = [kindOf(project), project];
+    try {
+      for (const [index, own] of seeds.entries()) {
+        maker.say(`Take ${index + 1} of ${seeds.length}`, index / seeds.length);
+        const event = await maker.quietly(wishOf(of, own));
+        remember(wishOf(of, own), event);
+        await takes.add(kind, own, event);
+      }
+    } catch (error) {
+      fail(error);
+    }
+    maker.say("");
+  }
+
+  async function drawTake({ clip }) {
+    const seen = front === shown && shown?.clip.glb === clip.glb;
+    const actor = seen ? shown : await loadActor(clip);
+    const url = stage.picture(actor, STRIP_TIME * actor.duration);
+    if (!seen) actor.dispose();
+    return url;
+  }
+
+  // -- output -------------------------------------------------------------------------------------------------------
+
+  function shape(wanted) {
+    project = { ...project, shape: wanted };
+    again();
+  }
+
+  function files(wanted) {
+    project = { ...project, output: wanted };
+    history.push({ project, seed });
+  }
+
+  async function fetchFile(suffix) {
+    const wish = wishOf(project, seed);
+    const { fps, root, names } = project.output;
+    if (characters.current && suffix === ".glb") return new Blob([await api.character(wish, characters.current, { fps, root })]);
+    return api.file(wish, suffix, { fps, ...(play.named.includes(suffix) && { root, names }) });
+  }
+
+  /** Another character, or none: what is seen is seen on it. False if it cannot be used. */
+  async function dress() {
+    if (!newest) return true;
+    maker.say("Putting it on", 0.5);
+    try {
+      const actor = await show({ ...newest, label: named(newest, wishOf(project, seed)) }, false, await dressed(newest));
+      if (actor) {
+        shown = actor;
+        output.show(newest, wishOf(project, seed), characters.current?.name ?? null);
+        count("shown");
+      }
+      fail(null);
+      return true;
+    } catch (error) {
+      fail(error);
+      return false;
+    } finally {
+      maker.say("");
+    }
+  }
+
+  // -- history ------------------------------------------------------------------------------------------------------
+
+  const undo = () => go(history.undo(), true);
+  const redo = () => go(history.redo(), true);
+
+  function fresh() {
+    project = newProject(play.example);
+    selected = 0;
+    history.push({ project, ...(play.opening && { seed: play.opening.seed }) });
+    go(history.now);
+    field.text.select();
+  }
+
+  // -- begin --------------------------------------------------------------------------------------------------------
+
+  form.element.addEventListener("submit", (event) => {
     event.preventDefault();
-    generate(wish());
+    make(read());
   });
-  field.text.addEventListener("keydown", (event) => {
-    if (event.key !== "Enter" || event.shiftKey) return;
-    event.preventDefault();
-    form.requestSubmit();
-  });
-  at(".cancel").addEventListener("click", () => run?.abort());
-  document.addEventListener("keydown", (event) => event.key === "Escape" && run?.abort());
+  at(".cancel").addEventListener("click", maker.cancel);
   at(".keep").addEventListener("click", () => {
     kept.push(shown);
     busy(false);
@@ -200,22 +346,60 @@ export function openPlayground(side, play, stage, transport) {
     transport.refresh();
     busy(false);
   });
-  at(".keep-seed").addEventListener("click", () => (field.seed.value = last?.seed ?? ""));
-  field.method.addEventListener("change", () => {
-    mixing.look();
-    again();
-  });
-  for (const radio of field.mode) radio.addEventListener("change", switchMode);
+  const lock = (is) => {
+    field.seed.value = is ? (seed ?? "") : "";
+    takes.lock.checked = is;
+  };
+  at(".keep-seed").addEventListener("click", () => lock(true));
+  takes.lock.addEventListener("change", () => lock(takes.lock.checked));
+  at(".undo").addEventListener("click", undo);
+  at(".redo").addEventListener("click", redo);
+  const keys = createKeys(
+    at("dialog.keys"),
+    [
+      { key: "Enter", ctrl: true, inFields: true, say: "Generate", act: () => form.element.requestSubmit() },
+      { key: "Escape", inFields: true, say: "Cancel", act: () => constraining.cancel() || (maker.running ? maker.cancel() : false) },
+      { key: "/", say: "To the sentence", act: () => field.text.focus() },
+      { key: "f", say: "Search known words", act: words.search },
+      { key: "z", ctrl: true, shift: false, say: "Undo", act: undo },
+      { key: "z", ctrl: true, shift: true, say: "Redo", act: redo },
+      { key: "y", ctrl: true, act: redo },
+      { key: "n", say: "Another sentence behind this one", act: add },
+      { key: "x", say: "Cut the sentence at this time", act: timeline.split },
+      ...(play.constrained
+        ? [{ key: "p", say: "Draw a path on the floor", act: constraining.path }, { key: "w", say: "A waypoint at this time", act: constraining.waypoint }]
+        : []),
+      { key: "t", say: "More takes", act: takes.more },
+      { key: "[", say: "Take before", act: () => takes.step(-1) },
+      { key: "]", say: "Next take", act: () => takes.step(1) },
+      { key: "l", say: "Keep the seed, or not", act: () => lock(!takes.lock.checked) },
+      { key: "s", ctrl: true, inFields: true, say: "Save the project as a file", act: () => projectFiles.save() },
+      { key: "?", say: "These keys", act: () => keys.show() },
+    ],
+    [["Space", "Play or pause"], [", .", "One frame back or on"], ["0", "Camera back to its place"], ["Arrows", "Turn the camera, on the stage"], ["+ -", "Nearer, further, on the stage"],
+      ["\u2190 \u2192", "Select a sentence, on the timeline"], ["Shift + \u2190 \u2192", "Make it shorter, longer"],
+      ["Alt + \u2190 \u2192", "Move it"], ["Delete", "Remove it"]],
+  );
+  at(".help").addEventListener("click", keys.show);
 
-  field.guidance.placeholder = Object.values(play.guidance).join(", ");
-  field.steps.placeholder = Object.values(play.steps).join(", ");
-  field.seconds.title = `${play.seconds[0]} to ${play.seconds[1]}`;
-  concepts.set(START);
-  mixing.set({});
-  field.text.value = play.example;
-  // A link fills the form and runs nothing: another page may open it, and may not drive this one.
-  const asked = linked();
-  if (asked) fill(asked);
-  switchMode();
-  field.text.focus();
+  await characters.restore();
+  begin();
+
+  /** What the link says, or what was kept, or the clip that the page came with. */
+  function begin() {
+    const link = linked();
+    const reloaded = performance.getEntriesByType("navigation")[0]?.type === "reload";
+    if (play.opening) remember(wishOf(project, play.opening.seed), { clip: play.opening });
+    const had = (!link || reloaded) && keep.load(history);
+    if (!had && link) history.push({ project: projectOf(link.wish, link.output), ...(link.wish.seed && { seed: link.wish.seed }) });
+    else if (!had) history.push({ project, ...(play.opening && { seed: play.opening.seed }) });
+    const { now } = history;
+    // Another page may open a link, and may not drive this one: then it is made when it is asked for.
+    if (play.waits || !now.seed && !link) {
+      project = now.project;
+      form.fill(project, 0);
+      output.fill(project);
+    } else go(now);
+    if (matchMedia("(pointer: fine)").matches) field.text.focus();
+  }
 }

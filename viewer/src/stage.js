@@ -1,7 +1,7 @@
 // What is drawn: a pane for each clip, all seen from the same side, each following its own root.
 import {
   BufferGeometry, Color, DirectionalLight, Float32BufferAttribute, Fog, HemisphereLight, LineBasicMaterial, LineSegments,
-  Mesh, PCFShadowMap, PerspectiveCamera, PlaneGeometry, Scene, ShadowMaterial, Spherical, Vector3, WebGLRenderer,
+  Mesh, PCFShadowMap, PerspectiveCamera, PlaneGeometry, Raycaster, Scene, ShadowMaterial, Spherical, Vector2, Vector3, WebGLRenderer,
 } from "three";
 import { OrbitControls } from "three/addons/controls/OrbitControls.js";
 
@@ -55,6 +55,8 @@ export function createStage(view) {
   const rig = new PerspectiveCamera();
   const orbit = new OrbitControls(rig, canvas);
   Object.assign(orbit, { enablePan: false, minDistance: 1.5, maxDistance: 14, maxPolarAngle: 1.55 });
+  const caster = new Raycaster();
+  let overlay = null; // drawn with the newest clip
   let panes = [createPane(null)];
   let time = 0;
   let asked = false;
@@ -67,22 +69,8 @@ export function createStage(view) {
     renderer.setScissorTest(true);
     panes.forEach((pane, number) => {
       const [x, y] = [(number % across) * w, Math.floor(number / across) * h];
-      const at = pane.actor ? pane.actor.target(time) : new Vector3();
       pane.actor?.pose(time);
-      pane.sun.target.position.copy(at);
-      pane.sun.position.set(at.x + 2.5, 6, at.z + 3);
-      // a narrow pane is looked at from further away, so that arms stay inside
-      const far = Math.max(1, 0.66 / (w / h));
-      at.y = HEIGHT;
-      pane.camera.position.copy(rig.position).multiplyScalar(far).add(at);
-      pane.camera.lookAt(at);
-      pane.camera.aspect = w / h;
-      pane.camera.updateProjectionMatrix();
-      pane.scene.fog.near = 5 * far + rig.position.length();
-      pane.scene.fog.far = 16 * far + rig.position.length();
-      renderer.setViewport(x, height - y - h, w, h);
-      renderer.setScissor(x, height - y - h, w, h);
-      renderer.render(pane.scene, pane.camera);
+      render(pane, pane.actor ? pane.actor.target(time) : new Vector3(), [x, height - y - h, w, h]);
     });
     labels.style.gridTemplateColumns = `repeat(${across}, 1fr)`;
     canvas.dataset.time = time.toFixed(3);
@@ -94,19 +82,38 @@ export function createStage(view) {
     asked = true;
   }
 
-  function paint() {
+  function paint(which = panes) {
     const style = getComputedStyle(document.documentElement);
     const colour = (name) => new Color(style.getPropertyValue(name).trim());
-    for (const pane of panes) {
+    for (const pane of which) {
       pane.scene.background = colour("--stage");
       pane.scene.fog = new Fog(colour("--stage"), 8, 20);
       pane.floor.material.opacity = Number(style.getPropertyValue("--shadow"));
       pane.grid.material.color = colour("--grid");
       if (!pane.actor) continue;
-      pane.actor.body.material.color = colour(pane.actor.clip.level ? "--sketch" : "--body");
+      if (pane.actor.body) pane.actor.body.material.color = colour(pane.actor.clip.level ? "--sketch" : "--body");
       for (const band of [pane.actor.trail.whole, pane.actor.trail.past]) band.material.color = colour("--accent");
     }
     ask();
+  }
+
+  /**
+   * Show one pane in a part of the canvas, in CSS pixels from its lower left corner.
+   * A narrow pane is looked at from further away, so that arms stay inside.
+   */
+  function render(pane, at, [x, y, w, h], far = Math.max(1, 0.66 / (w / h))) {
+    pane.sun.target.position.copy(at);
+    pane.sun.position.set(at.x + 2.5, 6, at.z + 3);
+    at.y = HEIGHT;
+    pane.camera.position.copy(rig.position).multiplyScalar(far).add(at);
+    pane.camera.lookAt(at);
+    pane.camera.aspect = w / h;
+    pane.camera.updateProjectionMatrix();
+    pane.scene.fog.near = 5 * far + rig.position.length();
+    pane.scene.fog.far = 16 * far + rig.position.length();
+    renderer.setViewport(x, y, w, h);
+    renderer.setScissor(x, y, w, h);
+    renderer.render(pane.scene, pane.camera);
   }
 
   function resize() {
@@ -133,13 +140,48 @@ export function createStage(view) {
     orbit.update();
   });
   orbit.addEventListener("change", ask);
-  matchMedia("(prefers-color-scheme: dark)").addEventListener("change", paint);
+  matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => paint());
   recentre();
   paint();
   new ResizeObserver(resize).observe(view);
 
   return {
     recentre,
+    orbit,
+    ask,
+    overlay(object) {
+      overlay = object;
+      panes.at(-1).scene.add(overlay);
+    },
+    /** A colour of the page. */
+    colour: (name) => new Color(getComputedStyle(document.documentElement).getPropertyValue(name).trim()),
+    camera: () => panes.at(-1).camera,
+    /** What lies under the pointer in the pane of the newest clip, as a Raycaster. */
+    ray({ clientX, clientY }) {
+      const { left, top, width, height } = canvas.getBoundingClientRect();
+      const across = columns(panes.length, width, height);
+      const [w, h, last] = [width / across, height / Math.ceil(panes.length / across), panes.length - 1];
+      const x = (clientX - left - (last % across) * w) / w;
+      const y = (clientY - top - Math.floor(last / across) * h) / h;
+      caster.setFromCamera(new Vector2(2 * x - 1, 1 - 2 * y), panes[last].camera);
+      return caster;
+    },
+    /** A small picture of an actor at a time, as a data URL; what is seen comes back before anybody looks. */
+    picture(actor, seconds) {
+      const pane = createPane(actor);
+      paint([pane]);
+      actor.pose(seconds);
+      const [w, h] = [Math.min(96, view.clientWidth), Math.min(72, view.clientHeight)];
+      renderer.setScissorTest(true);
+      render(pane, actor.target(seconds), [0, 0, w, h], 0.8);
+      const ratio = renderer.getPixelRatio();
+      const small = Object.assign(document.createElement("canvas"), { width: w * ratio, height: h * ratio });
+      small.getContext("2d").drawImage(canvas, 0, h * ratio - canvas.height);
+      pane.dispose();
+      panes.find((other) => other.actor === actor)?.scene.add(actor.model, actor.trail.whole, actor.trail.past);
+      draw();
+      return small.toDataURL();
+    },
     /** Show these clips, side by side; others go, and free what they hold. */
     show(actors) {
       for (const pane of panes) {
@@ -147,6 +189,7 @@ export function createStage(view) {
         if (pane.actor && !actors.includes(pane.actor)) pane.actor.dispose();
       }
       panes = (actors.length ? actors : [null]).map(createPane);
+      if (overlay) panes.at(-1).scene.add(overlay);
       labels.replaceChildren(
         ...actors.map(({ clip }) => {
           const label = document.createElement("p");

@@ -1,7 +1,8 @@
 // Play, pause, scrub, speed; the keyboard for all of them. Nothing is drawn while nothing moves.
 const HOLD = 0.5; // seconds that the last pose stays before the clip begins again
 
-export function createTransport(box, stage) {
+/** ontime(seconds) is told every time that is shown. */
+export function createTransport(box, stage, ontime = () => {}) {
   const [play, scrub, clock, speed, camera] = [".play", ".scrub", ".clock", ".speed", ".camera"].map((name) =>
     box.querySelector(name),
   );
@@ -20,6 +21,7 @@ export function createTransport(box, stage) {
     clock.textContent = words;
     scrub.setAttribute("aria-valuetext", words);
     stage.at(shown);
+    ontime(shown);
   }
 
   function tick(now) {
@@ -68,6 +70,11 @@ export function createTransport(box, stage) {
     restart() {
       place(0);
       setPlaying(!matchMedia("(prefers-reduced-motion: reduce)").matches);
+    },
+    /** Stop at a time. */
+    seek(seconds) {
+      setPlaying(false);
+      place(Math.min(Math.max(seconds, 0), stage.duration));
     },
     /** The clips have changed under a clip that plays on. */
     refresh() {

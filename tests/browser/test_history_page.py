@@ -1,0 +1,125 @@
+"""Takes and history of the playground: pick, more, keep the seed; undo and redo; reload, files, links, two tabs."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+from support.browsing import Open, clips_shown, download, generate, settings, shows, wait_until
+from support.playground import PlaygroundClient
+
+
+def seed_of(page: object) -> str:
+    return page.locator(".facts").inner_text().split("seed ")[1].split(",")[0]  # type: ignore[attr-defined,no-any-return]
+
+
+def test_takes_stand_beside_one_another_and_are_picked(open_page: Open, server: PlaygroundClient) -> None:
+    page = open_page(server.url, 1000, 800)
+    generate(page, "a person runs", seconds="1", seed="5", steps="2")
+    page.locator(".sampling [name=seed]").fill("")
+    page.locator("canvas").press("t")
+    wait_until(page, lambda: page.locator(".take").count() == 4)
+    assert clips_shown(page) == 1 and seed_of(page) == "5"  # they were made, and what is seen is still the first
+    page.get_by_label("Take with seed 7").click()
+    wait_until(page, lambda: seed_of(page) == "7")
+    assert clips_shown(page) == 1  # nothing was made again
+    page.locator("canvas").press("]")
+    wait_until(page, lambda: seed_of(page) == "8")
+    page.get_by_label("Keep seed").check()
+    generate(page, "a person walks", seconds="1", steps="2")
+    assert seed_of(page) == "8" and page.locator(".take").count() == 1
+    page.get_by_role("button", name="Undo").click()
+    wait_until(page, lambda: page.locator(".take").count() == 4)
+    assert page.locator(".take[aria-pressed=true] span").inner_text() == "seed 8"
+
+
+def test_steps_are_undone_and_done_again_also_after_a_reload(open_page: Open, server: PlaygroundClient) -> None:
+    page = open_page(server.url, 1000, 800)
+    field = page.get_by_label("What should the person do?")
+    generate(page, "a person runs", seconds="1", seed="5", steps="2")
+    page.get_by_label("In place").check()
+    wait_until(page, lambda: clips_shown(page) == 2)
+    generate(page, "a person bows", seconds="1", seed="6", steps="2")
+    bows = download(page, ".npz", "a_person_bows_6_in_place.npz")
+    page.locator("canvas").press("Control+z")
+    wait_until(page, lambda: field.input_value() == "a person runs" and seed_of(page) == "5")
+    assert page.get_by_label("In place").is_checked()
+    page.locator("canvas").press("Control+z")
+    wait_until(page, lambda: not page.get_by_label("In place").is_checked())
+    page.reload()
+    page.wait_for_selector("html[data-shown]", state="attached")
+    assert field.input_value() == "a person runs" and not page.get_by_label("In place").is_checked()
+    for _ in range(2):
+        before = shows(page)
+        page.locator("canvas").press("Control+Shift+z")
+        wait_until(page, lambda before=before: shows(page) > before)  # type: ignore[misc]
+    assert field.input_value() == "a person bows" and download(page, ".npz", "a_person_bows_6_in_place.npz") == bows
+    assert page.get_by_role("button", name="Redo").is_disabled()
+    page.locator("canvas").press("Control+z")
+    wait_until(page, lambda: field.input_value() == "a person runs")
+    field.fill("a person walks on tiptoe")
+    field.press("Control+z")  # in a field, typing is undone
+    wait_until(page, lambda: field.input_value() == "a person runs")
+
+
+def test_a_project_is_a_file_and_another_browser_goes_on_with_it(
+    open_page: Open, server: PlaygroundClient, tmp_path: Path
+) -> None:
+    page = open_page(server.url, 1000, 800)
+    generate(page, "a person runs", seconds="1", seed="5", steps="2")
+    with page.expect_download() as waiting:
+        page.locator("canvas").press("Control+s")
+    file = tmp_path / waiting.value.suggested_filename
+    waiting.value.save_as(file)
+    assert file.name == "a_person_runs_5.kinegraph.json"
+    other = open_page(server.url, 1000, 800)
+    wait_until(other, lambda: shows(other) == 1)
+    other.locator(".open-file").set_input_files(file)
+    wait_until(other, lambda: shows(other) == 2)
+    assert other.get_by_label("What should the person do?").input_value() == "a person runs"
+    assert download(other, ".npz") == download(page, ".npz")
+    other.locator("canvas").press("Control+z")
+    wait_until(other, lambda: "waves" in other.get_by_label("What should the person do?").input_value())
+    alert = other.get_by_role("alert")
+    for text, reason in (
+        ("{", "no JSON"),
+        ('{"entries": []}', "no project"),
+        (json.dumps({"entries": [3]}), "no project"),
+    ):
+        (tmp_path / "bad.json").write_text(text)
+        other.locator(".open-file").set_input_files(tmp_path / "bad.json")
+        wait_until(other, lambda reason=reason: reason in alert.inner_text())  # type: ignore[misc]
+    other.get_by_text("Project", exact=True).click()
+    other.get_by_role("button", name="New").click()
+    wait_until(other, lambda: not alert.is_visible())
+
+
+def test_a_second_tab_works_meanwhile(open_page: Open, server: PlaygroundClient) -> None:
+    first = open_page(server.url, 1000, 800)
+    generate(first, "a person runs", seconds="1", seed="5", steps="2")
+    second = first.context.new_page()
+    second.goto(server.url)
+    second.wait_for_selector("html[data-shown]", state="attached")
+    field = second.get_by_label("What should the person do?")
+    assert field.input_value() == "a person runs"  # it begins where the newest left off
+    generate(second, "a person bows", seconds="1", seed="6", steps="2")
+    first.reload()
+    first.wait_for_selector("html[data-shown]", state="attached")
+    assert first.get_by_label("What should the person do?").input_value() == "a person runs"  # each has its own
+
+
+def test_the_keyboard_is_told(open_page: Open, server: PlaygroundClient) -> None:
+    page = open_page(server.url, 1000, 800)
+    page.locator("canvas").press("?")
+    sheet = page.get_by_role("dialog")
+    assert sheet.is_visible() and "Undo" in sheet.inner_text() and "More takes" in sheet.inner_text()
+    page.keyboard.press("Escape")
+    assert not sheet.is_visible()
+    page.locator("canvas").press("/")
+    assert page.evaluate("document.activeElement.id") == "text"
+    page.keyboard.type("?")
+    assert not sheet.is_visible()
+    page.get_by_label("What should the person do?").fill("a person runs")
+    settings(page, seconds="1", steps="2")
+    page.keyboard.press("Control+Enter")
+    wait_until(page, lambda: clips_shown(page) == 1)

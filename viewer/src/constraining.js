@@ -1,0 +1,129 @@
+// Constraints of the project: pins on the timeline and balls in the room are two views of the same; what adds one.
+import { drawnPath, MOST, place, POSE_FRAMES } from "./constraints.js";
+import { element } from "./elements.js";
+import { createFloor } from "./floor.js";
+import { createPins } from "./pins.js";
+
+const PINS = { "left hand": "left_wrist", "right hand": "right_wrist", "left foot": "left_foot", "right foot": "right_foot", head: "head" };
+const STEPS = 9; // points that are looked at of the way that is gone now
+
+/**
+ * @param box the timeline
+ * @param facts of the bundle: {constrained, joints}
+ * @param on {project(), clip(), body() -> actor of our own body, time() in the clip, now() and whole() of the timeline,
+ *   change(constraints, done), colour(name), say(words)}
+ */
+export function createConstraining(box, view, stage, facts, on) {
+  const pins = createPins(box, { select, change: (constraints) => on.change(constraints, true) });
+  const room = createFloor(view, stage, { change: dragged, drawn, colour: on.colour });
+  const kinds = box.querySelector(".pin-kinds");
+  const menu = box.querySelector(".pin-menu");
+  const [path, waypoint] = [".add-path", ".add-waypoint"].map((name) => box.querySelector(name));
+  const all = () => on.project().constraints;
+  let selected = -1;
+  box.querySelector(".constrain").hidden = !facts.constrained;
+
+  function select(at) {
+    selected = pins.select(at);
+    room.show(all(), selected);
+  }
+
+  function add(constraint) {
+    if (all().length >= MOST) return;
+    on.change([...all(), constraint], true);
+    select(all().length - 1);
+  }
+
+  function dragged(at, constraint, done) {
+    on.change(all().with(at, constraint), done);
+  }
+
+  /** A path that was drawn; without one, a second press of the button takes the way that is gone now. */
+  function drawn(line) {
+    on.say("");
+    if (line) add(line);
+  }
+
+  async function wayNow() {
+    const { path: way } = await on.body();
+    const points = Array.from({ length: STEPS }, (_, k) => way[Math.round((k * (way.length - 1)) / (STEPS - 1))]);
+    drawn(drawnPath(points.map(({ x, z }) => [x, z])));
+  }
+
+  async function joints(names, time) {
+    return (await on.body()).joints(names, time);
+  }
+
+  async function addWaypoint() {
+    const [[x, , z]] = await joints(["pelvis"], on.time());
+    add({ type: "waypoint", seconds: on.now(), position: place([x, z]) });
+  }
+
+  async function pinJoint(joint) {
+    const [position] = await joints([joint], on.time());
+    add({ type: "joint", joint, position: place(position), seconds: on.now() });
+  }
+
+  const pose = async (time) => (await joints(facts.joints, time)).map(place);
+
+  async function pinPose() {
+    add({ type: "keyframe", seconds: on.now(), joints: await pose(on.time()) });
+  }
+
+  /** The pose that is seen now, with its velocity, as the first or last of the clip. */
+  async function pinEnd(type) {
+    const { fps, frames } = on.clip();
+    const first = Math.min(Math.round(on.time() * fps), Math.max(frames - POSE_FRAMES, 0));
+    const poses = [];
+    for (let k = 0; k < POSE_FRAMES; k++) poses.push(await pose((first + k) / fps));
+    const others = all().filter((constraint) => constraint.type !== type);
+    on.change([...others, { type, joints: poses, fps }], true);
+    select(all().length - 1);
+  }
+
+  function pencil() {
+    if (room.drawing) {
+      room.pencil(false);
+      return wayNow();
+    }
+    room.pencil(true);
+    return on.say("Draw the way on the floor; press Path again for the way it goes now");
+  }
+
+  const choice = (name, act) =>
+    element("button", { type: "button", onclick: () => {
+      menu.open = false;
+      act();
+    } }, name);
+  kinds.append(
+    ...Object.entries(PINS).map(([name, joint]) => choice(name, () => pinJoint(joint))),
+    choice("this pose", pinPose),
+    choice("begin in this pose", () => pinEnd("start")),
+    choice("end in this pose", () => pinEnd("end")),
+  );
+  menu.addEventListener("keydown", (event) => {
+    if (event.key !== "Escape") return;
+    menu.open = false;
+    menu.querySelector("summary").focus();
+  });
+  document.addEventListener("click", (event) => menu.contains(event.target) || (menu.open = false));
+  path.addEventListener("click", pencil);
+  waypoint.addEventListener("click", addWaypoint);
+
+  return {
+    /** misses: of the clip that is seen, one for each constraint. */
+    show(misses) {
+      pins.show(all(), on.whole(), misses);
+      room.show(all(), selected < all().length ? selected : (selected = -1));
+    },
+    path: () => facts.constrained && pencil(),
+    waypoint: () => facts.constrained && addWaypoint(),
+    /** Give up drawing; false if nothing was being drawn. */
+    cancel() {
+      if (!room.drawing) return false;
+      room.pencil(false);
+      on.say("");
+      return true;
+    },
+  };
+}
