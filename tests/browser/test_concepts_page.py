@@ -16,7 +16,7 @@ def test_concepts_are_composed(open_page: Open, server: PlaygroundClient, tmp_pa
     page.get_by_label("Concepts").check()
     page.get_by_role("button", name="Add a concept").click()
     page.get_by_label("Concept", exact=True).last.fill("a person runs")
-    page.get_by_label("Weight").last.fill("-0.5")
+    page.locator(".concepts").get_by_label("Weight").last.fill("-0.5")
     assert page.locator(".rows output").last.inner_text() == "not ×0.5"
     page.get_by_label("Method").select_option("latent")
     settings(page, seconds="2", seed="3", steps="3")
@@ -89,7 +89,7 @@ def test_what_does_not_mix_is_hidden_or_said(open_page: Open, server: Playground
     assert not page.get_by_label("Share of latent").is_visible()
     page.get_by_role("button", name="Generate").click()  # shares of "fused" are not sent with another method
     wait_until(page, lambda: clips_shown(page) == 1)
-    for slider in page.get_by_label("Weight").all():
+    for slider in page.locator(".concepts").get_by_label("Weight").all():
         slider.fill("0")
     wait_until(page, lambda: "1 to 8 concepts, not 0" in page.get_by_role("alert").inner_text())
     assert page.locator(".rows output").all_text_contents() == ["left out", "left out"]

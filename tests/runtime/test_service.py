@@ -188,7 +188,13 @@ def test_words_health_metrics_and_the_description_are_there(served: Any, toy: Mo
     from kinegraph.playground import schemas
     from kinegraph.service import requests
 
-    known = {*requests._FILE_KEYS, *schemas._SHAPE_KEYS, *schemas._COMPOSITION_KEYS, *schemas._SAMPLING_KEYS}
+    known = {
+        *requests._FILE_KEYS,
+        *schemas._SHAPE_KEYS,
+        *schemas._CONSTRAINT_KEYS,
+        *schemas._COMPOSITION_KEYS,
+        *schemas._SAMPLING_KEYS,
+    }
     assert properties["properties"].keys() == known | {"text", "graph", "concepts", "texts"}
     page = client.send("GET", "/v1/docs")
     assert b"/v1/clips" in page.body and "default-src 'none'" in page.headers["content-security-policy"]

@@ -95,7 +95,7 @@ def test_the_page_holds_the_very_glb_and_what_was_asked_for() -> None:
     graph = whole("a person walks").to_dict()
     assert shown == {
         "text": HOSTILE, "seed": str(2**60), "fps": 20.0, "frames": 20, "bundle": "edge 1.2", "graph": graph,
-        "unknown": [juggles.to_dict()], "notes": list(notes),
+        "unknown": [juggles.to_dict()], "notes": list(notes), "misses": [],
     }  # fmt: skip
 
 

@@ -42,7 +42,7 @@ export function python(wish, output, file, character = null) {
     return graphs.length > 1 ? `graph_${graphs.length}` : "graph";
   };
   const options = pythonOptions(wish, SAMPLING);
-  if (wish.constraints) options.push(`constraints=constraints_of(${literal(wish.constraints)})`);
+  if (wish.constraints) options.push("constraints=constraints");
   let made;
   if (wish.concepts) {
     const concepts = wish.concepts.map(({ text, weight = 1 }) => `Concept(${literal(text)}${weight === 1 ? "" : `, ${weight}`})`);
@@ -51,14 +51,19 @@ export function python(wish, output, file, character = null) {
     if (wish.text) mixing.push(`text=${literal(wish.text)}`);
     mixing.push(...["lambdas", "agd"].filter((name) => wish[name]).map((name) => `${name}=${typed(wish[name])}`));
     made = called("pipe.compose", [`[${concepts.join(", ")}]`, ...mixing, ...options]);
-  } else if (wish.texts) made = called("pipe.sequence", [`[${wish.texts.map(said).join(", ")}]`, ...options]);
+  } else if (wish.texts) {
+    const texts = `[${wish.texts.map(said).join(", ")}]`;
+    made = wish.constraints ? called("generate_timeline", ["pipe", texts, ...options]) : called("pipe.sequence", [texts, ...options]);
+  }
   else made = called("pipe.generate", [said(wish.graph ?? wish.text), ...options]);
   const named = ["MotionPipeline", ...(wish.concepts ? ["Concept"] : [])].sort();
   const lines = [`from kinegraph import ${named.join(", ")}`];
   if (graphs.length) lines.push("from kinegraph.graph import SemanticGraph");
-  if (wish.constraints) lines.push("from kinegraph.constraints import constraints_of");
+  if (wish.constraints) lines.push("from kinegraph.formats import constraints_json");
+  if (wish.constraints && wish.texts) lines.push("from kinegraph.timeline import generate_timeline");
   lines.push("", "pipe = MotionPipeline.load()");
   lines.push(...graphs.map((graph, at) => `${at ? `graph_${at + 1}` : "graph"} = ${graph}`));
+  if (wish.constraints) lines.push(`constraints = constraints_json.decode([\n${wish.constraints.map((one) => `    ${literal(one)},\n`).join("")}])`);
   lines.push(`clip = ${made}`);
   const loop = wish.foot_fix === false ? ".looped(foot_fix=False)" : ".looped()";
   const shape = [wish.loop && loop, wish.in_place && ".in_place()"].filter(Boolean).join("");
@@ -96,6 +101,7 @@ export function command(wish, output, file, character = null) {
     for (const name of ["text", "lambdas", "agd"]) if (wish[name]) words.push(`--${name}`, String(wish[name]));
   } else if (wish.texts) {
     if (wish.texts.some((text) => typeof text !== "string")) return "# a sequence with edited graphs: use Python\n";
+    if (wish.constraints) return "# a timeline with constraints: use Python\n";
     words.push("sequence", ...wish.texts);
   } else if (wish.graph) {
     words.push("generate", "--graph", "-");
@@ -111,5 +117,7 @@ export function command(wish, output, file, character = null) {
   if (character) words.push("--character", character);
   else if (named && output.names && output.names !== "smpl") words.push("--names", output.names);
   words.push("-o", file);
-  return `${words.map(quoted).join(" ")}${input}\n`;
+  if (!wish.constraints) return `${words.map(quoted).join(" ")}${input}\n`;
+  const kept = `cat > constraints.json <<'END'\n${JSON.stringify(wish.constraints)}\nEND\n`;
+  return `${kept}${[...words, "--constraints", "constraints.json"].map(quoted).join(" ")}${input}\n`;
 }

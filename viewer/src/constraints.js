@@ -1,4 +1,4 @@
-// Constraints as the request has them (docs/python.md): where the root, a joint or the whole body is, and when. Plain
+// Constraints as the request has them (kinegraph.formats.constraints_json): where the root, a joint or the whole body is, and when. Plain
 // values, nothing drawn. Metres, +Y up; a clip begins at the origin and faces +Z. Places on the floor are [x, z].
 export const MOST = 32; // constraints of one project
 export const MOST_POINTS = 16; // of a path that was drawn

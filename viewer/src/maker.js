@@ -2,7 +2,7 @@
 import * as api from "./api.js";
 import { named } from "./describe.js";
 
-const LEVELS = { motion: "whole motion", action: "actions", specific: "details" };
+const LEVELS = { motion: "whole motion", action: "actions", specific: "details", constraints: "way there" };
 
 /**
  * @param on {show(clip, restart, extra) -> actor or null, isFront(actor), back(), busy(is), fail(error),

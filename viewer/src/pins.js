@@ -86,23 +86,23 @@ export function createPins(box, on) {
     const number = (name, value, step, write) =>
       element("label", {}, name, element("input", {
         type: "number", step, value, "aria-label": `${name} of the ${nameOf(constraint)}`,
-        onchange: ({ target }) => Number.isFinite(target.valueAsNumber) && set(at, write(target.valueAsNumber)),
+        onchange: ({ target }) => Number.isFinite(target.valueAsNumber) && set(at, write(target.valueAsNumber, constraints[at])),
       }));
     const fields = [];
     if (isTimed(constraint) && !Array.isArray(constraint.seconds) && constraint.type !== "path") {
-      fields.push(number("Second", constraint.seconds, NUDGE, (seconds) => ({ ...constraint, seconds: Math.min(Math.max(seconds, 0), whole) })));
+      fields.push(number("Second", constraint.seconds, NUDGE, (seconds, now) => ({ ...now, seconds: Math.min(Math.max(seconds, 0), whole) })));
     }
     if (constraint.position) {
       const axes = constraint.position.length === 2 ? ["x", "z"] : ["x", "y", "z"];
-      fields.push(...axes.map((axis, k) => number(axis, constraint.position[k] ?? "", NUDGE, (value) => ({ ...constraint, position: constraint.position.with(k, value) }))));
+      fields.push(...axes.map((axis, k) => number(axis, constraint.position[k] ?? "", NUDGE, (value, now) => ({ ...now, position: now.position.with(k, value) }))));
     }
     if (constraint.points) {
       fields.push(element("label", { class: "wide" }, "Points x,z", element("input", {
         value: textOf(constraint.points), "aria-label": "Points of the path",
-        onchange: ({ target }) => pointsOf(target.value) && set(at, { ...constraint, points: pointsOf(target.value) }),
+        onchange: ({ target }) => pointsOf(target.value) && set(at, { ...constraints[at], points: pointsOf(target.value) }),
       })));
     }
-    fields.push(number("Weight", constraint.weight ?? 1, NUDGE, (weight) => ({ ...constraint, weight: Math.max(weight, 0) })));
+    fields.push(number("Weight", constraint.weight ?? 1, NUDGE, (weight, now) => ({ ...now, weight: Math.max(weight, 0) })));
     const drop = element("button", { type: "button", onclick: () => remove(at) }, `Delete the ${nameOf(constraint)}`);
     return inspector.replaceChildren(...fields, drop);
   }

@@ -34,6 +34,16 @@ test("all that a file can be asked for", () => {
   assert.match(command(asked, output, "walk.glb", "my hero.vrm"), /--root --character 'my hero\.vrm' -o walk\.glb/);
 });
 
+test("constraints are decoded from what the request says", () => {
+  const constraints = [{ type: "waypoint", seconds: 2, position: [0.5, 1] }];
+  const program = python({ ...wish, constraints }, {}, "x.bvh");
+  assert.match(program, /import constraints_json\n\npipe[^]*decode\(\[\n {4}\{"type": "waypoint", "seconds": 2, "position": \[0\.5, 1\]\},\n\]\)\nclip = pipe\.generate\([^]*constraints=constraints\)/);
+  const scene = { texts: ["a", "b"], seconds: [2, 3], seed: "1", constraints };
+  assert.match(python(scene, {}, "x.bvh"), /clip = generate_timeline\(pipe, \["a", "b"\], seconds=\(2, 3\), seed=1, constraints=constraints\)/);
+  assert.match(command(scene, {}, "x.bvh"), /^# /);
+  assert.match(command({ ...wish, constraints }, {}, "x.bvh"), /^cat > constraints\.json <<'END'\n\[.*\]\nEND\nkinegraph generate .* -o x\.bvh --constraints constraints\.json\n$/);
+});
+
 test("concepts, sequences and graphs", () => {
   const mixed = { concepts: [{ text: "walks", weight: 1 }, { text: "runs: fast", weight: -0.5 }], method: "latent", seed: "1" };
   assert.equal(command(mixed, {}, "x.bvh"), "kinegraph compose --and walks --not 'runs: fast:0.5' --method latent --seed 1 -o x.bvh\n");

@@ -50,6 +50,7 @@ def clip_record(clip: Clip) -> dict[str, Any]:
         "graph": None if clip.graph is None else clip.graph.to_dict(),
         "unknown": [words.to_dict() for words in clip.unknown],
         "notes": clip.notes,
+        "misses": [{"what": miss.what, "metres": miss.metres, "worst": miss.worst} for miss in clip.misses],
         "glb": base64.b64encode(compressed).decode("ascii"),
     }
 

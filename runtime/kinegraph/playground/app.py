@@ -36,6 +36,7 @@ from kinegraph.playground.schemas import (
     parse_graph,
     parse_json,
 )
+from kinegraph.timeline import PartMemory
 
 T = TypeVar("T")
 
@@ -52,6 +53,7 @@ class Playground:
         self._pipeline = pipeline
         self._clip_queue, self._parse_queue = FairQueue(), FairQueue()
         self._jobs: set[asyncio.Task[None]] = set()
+        self._memory = PartMemory()  # of one clip at a time, as the queue has it
         self._pages: dict[bool, bytes] = {}
         """The page, and the page that waits to be asked; empty until the first clip is made."""
 
@@ -122,7 +124,7 @@ class Playground:
 
     async def _make_file(self, request: Request, wanted: ClipRequest, encode: Callable[[Clip], bytes]) -> bytes:
         def make(stop: threading.Event) -> bytes:
-            return encode(generate_clip(self._pipeline, wanted, lambda _: not stop.is_set()))
+            return encode(generate_clip(self._pipeline, wanted, lambda _: not stop.is_set(), memory=self._memory))
 
         async def make_in_turn() -> bytes:
             async with self._clip_queue.turn(_tab(request)):
@@ -152,7 +154,9 @@ class Playground:
         events.put_nowait({"event": "queued", "ahead": self._clip_queue.ahead(tab)})
         try:
             async with self._clip_queue.turn(tab):
-                await run_in_thread(lambda stop: GenerationJob(self._pipeline, clip_request, send, stop).run())
+                await run_in_thread(
+                    lambda stop: GenerationJob(self._pipeline, clip_request, send, stop, self._memory).run()
+                )
         except KinegraphError as error:
             send({"event": "error", "message": str(error)})
         except asyncio.CancelledError:

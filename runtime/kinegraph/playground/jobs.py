@@ -15,6 +15,7 @@ from kinegraph.formats.html import clip_record
 from kinegraph.graph import SemanticGraph
 from kinegraph.pipeline import MotionPipeline, OnLevel
 from kinegraph.playground.schemas import ClipRequest
+from kinegraph.timeline import PartMemory, generate_timeline
 
 MAX_SECONDS: Final = 300.0
 """Time of one clip; meanwhile the others wait."""
@@ -25,7 +26,7 @@ SendEvent = Callable[[dict[str, Any]], None]
 STEP_PAUSE: Final = 0.04
 """Shortest time between two step events, seconds; nobody would see them more often."""
 
-STAGES: Final = {"motion": "text and motion", "action": "action", "specific": "specific"}
+STAGES: Final = {"motion": "text and motion", "action": "action", "specific": "specific", "constraints": "constraints"}
 """Level -> stage that ends with its last step; the text is encoded before the first step."""
 
 
@@ -34,9 +35,19 @@ class TookTooLongError(KinegraphError):
 
 
 def generate_clip(
-    pipeline: MotionPipeline, request: ClipRequest, on_step: OnStep, on_level: OnLevel | None = None
+    pipeline: MotionPipeline,
+    request: ClipRequest,
+    on_step: OnStep,
+    on_level: OnLevel | None = None,
+    memory: PartMemory | None = None,
 ) -> Clip:
     """Generate the clip of a request, equal to that of the command line for the same arguments.
+
+    Args:
+        pipeline: a loaded bundle.
+        request: what is asked for.
+        on_step, on_level: as in `MotionPipeline.generate`.
+        memory: parts of timelines that need not be made again.
 
     Raises:
         TookTooLongError: it took `MAX_SECONDS`.
@@ -49,48 +60,34 @@ def generate_clip(
             raise TookTooLongError(f"a clip may take {MAX_SECONDS:g} seconds; ask for fewer steps or concepts")
         return on_step(info)
 
-    clip = _generate(pipeline, request, on_step_in_time, on_level)
+    clip = _generate(pipeline, request, on_step_in_time, on_level, memory)
     clip = clip.looped(foot_fix=request.foot_fix) if request.loop else clip
     return clip.in_place() if request.in_place else clip
 
 
-def _generate(pipeline: MotionPipeline, request: ClipRequest, on_step: OnStep, on_level: OnLevel | None) -> Clip:
+def _generate(
+    pipeline: MotionPipeline,
+    request: ClipRequest,
+    on_step: OnStep,
+    on_level: OnLevel | None,
+    memory: PartMemory | None,
+) -> Clip:
     """Generate the clip as the pipeline makes it: neither looped nor in place."""
+    sampling: dict[str, Any] = {
+        name: getattr(request, name) for name in ("seconds", "seed", "steps", "guidance", "foot_fix")
+    }
+    sampling["on_step"] = on_step
+    constraining: dict[str, Any] = {}
+    if request.constraints:
+        constraining = {"constraints": request.constraints, "constraint_weight": request.constraint_weight}
     if request.texts is not None:
-        return pipeline.sequence(
-            request.texts,
-            seconds=request.seconds,
-            seed=request.seed,
-            steps=request.steps,
-            guidance=request.guidance,
-            foot_fix=request.foot_fix,
-            on_step=on_step,
-        )
+        if request.constraints:
+            return generate_timeline(pipeline, request.texts, **sampling, **constraining, memory=memory)
+        return pipeline.sequence(request.texts, **sampling)
     if request.concepts is None:
-        return pipeline.generate(
-            request.text or "",
-            seconds=request.seconds,
-            seed=request.seed,
-            steps=request.steps,
-            guidance=request.guidance,
-            foot_fix=request.foot_fix,
-            on_step=on_step,
-            on_level=on_level,
-        )
-    return pipeline.compose(
-        request.concepts,
-        method=request.method,
-        text=request.text,
-        lambdas=request.lambdas,
-        agd=request.agd,
-        seconds=request.seconds,
-        seed=request.seed,
-        steps=request.steps,
-        guidance=request.guidance,
-        foot_fix=request.foot_fix,
-        on_step=on_step,
-        on_level=on_level,
-    )
+        return pipeline.generate(request.text or "", **sampling, **constraining, on_level=on_level)
+    mixing = {name: getattr(request, name) for name in ("method", "text", "lambdas", "agd")}
+    return pipeline.compose(request.concepts, **mixing, **sampling, **constraining, on_level=on_level)
 
 
 @dataclass
@@ -102,6 +99,7 @@ class GenerationJob:
     send: SendEvent
     stop: threading.Event
     """Set it to give up; checked after every diffusion step."""
+    memory: PartMemory | None = None
     stages: dict[str, float] = field(default_factory=dict)
     """Stage -> milliseconds."""
     _stage_start: float = 0.0
@@ -120,7 +118,7 @@ class GenerationJob:
             self._end_stage("parser")
             self.send({"event": "graph", "graph": graph.to_dict()})
             request = replace(request, text=graph)
-        clip = generate_clip(self.pipeline, request, self._on_step, self._on_level)
+        clip = generate_clip(self.pipeline, request, self._on_step, self._on_level, self.memory)
         self._end_stage("decoder, feet")
         record = clip_record(clip)
         self._end_stage("body")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any, Final
 
-from kinegraph.bundle.contract import AGD_DENOISERS
+from kinegraph.bundle.contract import AGD_DENOISERS, DECODER_GRADIENTS
 from kinegraph.concepts import DEFAULT_LAMBDAS
 from kinegraph.errors import KinegraphError, MissingExtraError
 from kinegraph.formats import NAMED, check_installed
@@ -58,7 +58,7 @@ def page_facts(pipeline: MotionPipeline) -> dict[str, Any]:
         "guidance": dict(manifest.defaults.guidance),
         "lambdas": DEFAULT_LAMBDAS,
         "agd": manifest.contracts.keys() >= set(AGD_DENOISERS.values()),
-        "constrained": False,
+        "constrained": manifest.contracts.keys() >= set(DECODER_GRADIENTS.values()),
         "joints": list(JOINT_NAMES),
         "roles": list(ARGUMENT_ROLES),
         "files": [suffix for suffix in FILES if _is_installed(suffix)],

@@ -14,9 +14,10 @@ from typing import Any, Final, TypeVar
 from kinegraph.bundle.strict_json import parse_object
 from kinegraph.clip import Clip
 from kinegraph.concepts import Concept
+from kinegraph.constraints import Constraint
 from kinegraph.edits import masked, replaced, with_action, with_argument, without
 from kinegraph.errors import BundleFormatError, InvalidInputError
-from kinegraph.formats import check_names, check_root, encode
+from kinegraph.formats import check_names, check_root, constraints_json, encode
 from kinegraph.formats.character import DEFAULT_FPS, decode_character
 from kinegraph.graph import SemanticGraph
 from kinegraph.motion.skeleton import DEFAULT_NAMES
@@ -39,6 +40,7 @@ _BRACKET: Final = re.compile(rb"[\[\]{}]")
 
 _SAMPLING_KEYS: Final = frozenset(("seconds", "seed", "steps", "guidance", "foot_fix"))
 _COMPOSITION_KEYS: Final = frozenset(("method", "lambdas", "agd"))
+_CONSTRAINT_KEYS: Final = frozenset(("constraints", "constraint_weight"))
 _SHAPE_KEYS: Final = frozenset(("loop", "in_place"))
 _FILE_KEYS: Final = frozenset(("names", "root", "fps"))
 
@@ -65,6 +67,9 @@ class ClipRequest:
     steps: Steps | None = None
     guidance: Guidance | None = None
     foot_fix: bool = True
+    constraints: tuple[Constraint, ...] = ()
+    """What the clip has to do besides, and where; of a sequence, times and places of the whole."""
+    constraint_weight: float = 1.0
     loop: bool = False
     in_place: bool = False
 
@@ -170,7 +175,10 @@ def parse_clip_request(record: Mapping[str, Any]) -> ClipRequest:
     Raises:
         InvalidInputError: unknown keys, or invalid values.
     """
-    _check_keys(record, {"text", "graph", "concepts", "texts", *_COMPOSITION_KEYS, *_SAMPLING_KEYS, *_SHAPE_KEYS})
+    _check_keys(
+        record,
+        {"text", "graph", "concepts", "texts", *_COMPOSITION_KEYS, *_SAMPLING_KEYS, *_SHAPE_KEYS, *_CONSTRAINT_KEYS},
+    )
     concepts: tuple[Concept, ...] | None = None
     texts: tuple[str | SemanticGraph, ...] | None = None
     if "texts" in record:
@@ -199,6 +207,8 @@ def parse_clip_request(record: Mapping[str, Any]) -> ClipRequest:
         steps=_numbers(record, "steps", int),
         guidance=_numbers(record, "guidance", float),
         foot_fix=record.get("foot_fix", True),
+        constraints=constraints_json.decode(record["constraints"]) if "constraints" in record else (),
+        constraint_weight=record.get("constraint_weight", 1.0),
         loop=_flag(record, "loop"),
         in_place=_flag(record, "in_place"),
     )

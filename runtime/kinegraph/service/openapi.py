@@ -32,6 +32,12 @@ _PROPERTIES: Final[dict[str, dict[str, Any]]] = {
     "method": {"enum": ["fused", "latent", "semantic"], "description": "for concepts"},
     "lambdas": {"type": "array", "items": _NUMBER, "description": "shares of latent, semantic and joint text in fused"},
     "agd": {"type": "array", "items": _NUMBER, "description": "step sizes of adaptive gradient descent"},
+    "constraints": {
+        "type": "array",
+        "items": {"type": "object", "properties": {"type": {"type": "string"}}, "required": ["type"]},
+        "description": "paths, waypoints, joints and poses, as in files of constraints; of a sequence, on the whole",
+    },
+    "constraint_weight": {"type": "number", "description": "of all constraints against the text"},
     "format": {"enum": [suffix[1:] for suffix in MEDIA_TYPES], "default": "glb"},
     "names": {"enum": ["smpl", "mixamo"], "default": "smpl", "description": "joint names in glb and bvh"},
     "root": {"type": "boolean", "default": False, "description": "a joint that carries travel and heading"},

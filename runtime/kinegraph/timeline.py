@@ -1,0 +1,284 @@
+"""A timeline: sentences one after another, with constraints on the whole of it.
+
+    part k = generate(sentence k, first frames = last frames of part k - 1, constraints that fall into part k)
+
+A part begins at the origin and faces +Z, as every clip does. So what it is asked for is brought into its own frame:
+times count from its beginning, places from where the part before ends. Parts overlap by the frames of a `StartPose`.
+"""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from collections.abc import Sequence
+from dataclasses import dataclass, fields, replace
+from typing import Any, Final
+
+import numpy as np
+
+from kinegraph.arrays import DoubleArray, FloatArray
+from kinegraph.clip import Clip
+from kinegraph.constraints import (
+    POSE_SECONDS,
+    Constraint,
+    EndPose,
+    JointTarget,
+    Keyframe,
+    Loop,
+    Path,
+    StartPose,
+    Waypoint,
+)
+from kinegraph.diffusion.sampling import OnStep, subrange_progress
+from kinegraph.errors import InvalidInputError
+from kinegraph.graph import SemanticGraph
+from kinegraph.limits import MAX_PARTS
+from kinegraph.motion.quaternions import about_axis, rotate
+from kinegraph.motion.skeleton import HORIZONTAL, PELVIS, facing_angle
+from kinegraph.options import (
+    Guidance,
+    Steps,
+    batch_seeds,
+    frame_count,
+    resolve_options,
+    sequence_caption,
+    validate_lengths,
+)
+from kinegraph.pipeline import MotionPipeline
+from kinegraph.placements import misses_of
+
+PATH_STEP: Final = 0.2
+"""Seconds between two points of a part's piece of a path."""
+
+
+@dataclass(frozen=True)
+class Placement:
+    """Where a part's own frame is in the whole clip."""
+
+    position: DoubleArray
+    """(3,) metres; the height is 0."""
+    heading: float
+    """Radians from +Z towards +X."""
+
+    def to_whole(self, joints: FloatArray) -> FloatArray:
+        """Bring joints (..., 3) of the part into the whole clip."""
+        turned = rotate(about_axis(1, np.array(self.heading)), joints.astype(np.float64))
+        return np.asarray(turned + self.position, dtype=np.float32)
+
+    def to_part(self, points: Any) -> DoubleArray:
+        """Bring points (..., 3) of the whole clip into the part."""
+        moved = np.asarray(points, dtype=np.float64) - self.position
+        return np.asarray(rotate(about_axis(1, np.array(-self.heading)), moved))
+
+    def floor_to_part(self, points: Any) -> DoubleArray:
+        """Bring points (..., 2) on the floor, x and z, into the part."""
+        flat = np.asarray(points, dtype=np.float64)
+        return self.to_part(np.stack([flat[..., 0], np.zeros(flat.shape[:-1]), flat[..., 1]], axis=-1))[..., [0, 2]]
+
+
+class PartMemory:
+    """The latest parts that were made: the same part of the same words is not made again. Not shared by threads."""
+
+    def __init__(self, most: int = 64) -> None:
+        self._clips: OrderedDict[object, Clip] = OrderedDict()
+        self._most = most
+
+    def get(self, key: object) -> Clip | None:
+        """Return a part that was made, or None."""
+        if key in self._clips:
+            self._clips.move_to_end(key)
+        return self._clips.get(key)
+
+    def keep(self, key: object, clip: Clip) -> None:
+        """Keep a part, and drop the one that was asked for longest ago."""
+        self._clips[key] = clip
+        if len(self._clips) > self._most:
+            self._clips.popitem(last=False)
+
+
+def generate_timeline(
+    pipeline: MotionPipeline,
+    texts: Sequence[str | SemanticGraph],
+    *,
+    seconds: float | Sequence[float],
+    constraints: Sequence[Constraint] = (),
+    constraint_weight: float = 1.0,
+    seed: int | None = None,
+    steps: Steps | None = None,
+    guidance: Guidance | None = None,
+    foot_fix: bool = True,
+    on_step: OnStep | None = None,
+    memory: PartMemory | None = None,
+) -> Clip:
+    """Make one clip of several sentences, each from the last pose of the one before, with constraints on the whole.
+
+    Args:
+        pipeline: a bundle that takes constraints.
+        texts: 1 to `limits.MAX_PARTS` sentences or graphs; sentence k is generated with seed + k.
+        seconds: of each part, or one length for all.
+        constraints: times from the beginning of the whole clip, places where they are in it.
+        constraint_weight, seed, steps, guidance, foot_fix, on_step: as in `MotionPipeline.generate`.
+        memory: parts that were made before, and need not be made again.
+
+    Raises:
+        InvalidInputError: as in `MotionPipeline.generate`; also a `Loop`, and times behind the end.
+    """
+    lengths = validate_lengths(texts, seconds, MAX_PARTS, "a timeline")
+    manifest, fps = pipeline.manifest, pipeline.manifest.fps
+    if any(length is None for length in lengths):
+        raise InvalidInputError("a timeline needs the seconds of each part")
+    if any(isinstance(constraint, Loop) for constraint in constraints):
+        raise InvalidInputError("a loop is for one sentence; for a timeline take `Clip.looped`")
+    first = resolve_options(manifest, seconds=lengths[0], seed=seed).seed
+    seeds = batch_seeds(first, len(texts), takes=1, most=MAX_PARTS)
+    frames = [frame_count(manifest, length) for length in lengths]
+    ends = np.cumsum(frames) / fps
+    _check_times(constraints, float(ends[-1]))
+    overlap = max(1, round(POSE_SECONDS * fps))
+    whole: FloatArray | None = None
+    clips: list[Clip] = []
+    for index, (text, count) in enumerate(zip(texts, frames, strict=True)):
+        lead = 0 if whole is None else overlap
+        placement = Placement(np.zeros(3), 0.0) if whole is None else placement_of(whole[-overlap])
+        span = (0.0 if index == 0 else float(ends[index - 1]), float(ends[index]))
+        wanted = localised(constraints, span, float(ends[-1]), lead / fps, placement)
+        if whole is not None:
+            wanted = (StartPose(whole[-overlap:], fps=fps), *wanted)
+        options: dict[str, Any] = {"seconds": (count + lead) / fps, "seed": seeds[index], "steps": steps}
+        options |= {"guidance": guidance, "foot_fix": foot_fix, "constraint_weight": constraint_weight}
+        key = (text, *options.items(), *map(_fingerprint, wanted))
+        clip = None if memory is None else memory.get(key)
+        if clip is None:
+            progress = subrange_progress(on_step, index, len(texts))
+            clip = pipeline.generate(text, constraints=wanted, on_step=progress, **options)
+            if memory is not None:
+                memory.keep(key, clip)
+        clips.append(clip)
+        whole = clip.joints if whole is None else joined(whole, placement.to_whole(clip.joints), lead)
+    assert whole is not None
+    unknown = {words.text.lower(): words for clip in clips for words in clip.unknown}
+    return replace(
+        clips[0],
+        joints=whole,
+        seed=first,
+        text=sequence_caption([clip.text for clip in clips]),
+        graph=clips[0].graph if len(clips) == 1 else None,
+        unknown=tuple(unknown.values()),
+        notes=tuple(dict.fromkeys(note for clip in clips for note in clip.notes)),
+        misses=misses_of(constraints, whole, fps),
+    )
+
+
+def _check_times(constraints: Sequence[Constraint], whole: float) -> None:
+    """Refuse times behind the end of the whole, which no part would see."""
+    for index, constraint in enumerate(constraints):
+        latest = 0.0
+        if isinstance(constraint, Waypoint | Keyframe):
+            latest = constraint.seconds
+        elif isinstance(constraint, JointTarget):
+            latest = constraint.interval[1]
+        elif isinstance(constraint, Path) and constraint.times is not None:
+            latest = float(constraint.times[-1])
+        if latest > whole + 1e-6:
+            raise InvalidInputError(f"constraints[{index}]: {latest:g} s is behind the end, at {whole:g} s")
+
+
+def placement_of(pose: FloatArray) -> Placement:
+    """Tell where a clip is that begins in a pose (22, 3) of the whole."""
+    return Placement(pose[PELVIS].astype(np.float64) * HORIZONTAL, float(facing_angle(pose[None])[0]))
+
+
+def joined(before: FloatArray, after: FloatArray, overlap: int) -> FloatArray:
+    """Join two motions (frames, 22, 3) whose last and first `overlap` frames are nearly the same, fading over them."""
+    share = (np.arange(1, overlap + 1) / (overlap + 1))[:, None, None]
+    faded = (1 - share) * before[-overlap:] + share * after[:overlap]
+    return np.concatenate([before[:-overlap], faded.astype(np.float32), after[overlap:]])
+
+
+def localised(
+    constraints: Sequence[Constraint], span: tuple[float, float], whole: float, lead: float, placement: Placement
+) -> tuple[Constraint, ...]:
+    """Bring the constraints that fall into a part into its own frame.
+
+    Args:
+        constraints: of the whole clip.
+        span: begin and end of the part, seconds of the whole clip.
+        whole: seconds of the whole clip.
+        lead: seconds of the part before `span` begins, which overlap with the part before.
+        placement: of the part.
+    """
+    begin, end = span
+    is_last = end >= whole - 1e-9
+    found: list[Constraint] = []
+    for constraint in constraints:
+        match constraint:
+            case StartPose():
+                found += [constraint] if begin == 0 else []
+            case EndPose():
+                found += [constraint] if is_last else []
+            case Path():
+                found += _piece(constraint, span, whole, lead, placement)
+            case JointTarget():
+                found += _held(constraint, span, is_last, lead, placement)
+            case Waypoint() if _is_in(constraint.seconds, span, is_last):
+                heading = constraint.heading
+                own = None if heading is None else heading - float(np.degrees(placement.heading))
+                x, z = placement.floor_to_part(constraint.position)
+                moment = constraint.seconds - begin + lead
+                found.append(replace(constraint, seconds=moment, position=(float(x), float(z)), heading=own))
+            case Keyframe() if _is_in(constraint.seconds, span, is_last):
+                joints = placement.to_part(constraint.joints).astype(np.float32)
+                found.append(replace(constraint, seconds=constraint.seconds - begin + lead, joints=joints))
+            case _:
+                pass
+    return tuple(found)
+
+
+def _is_in(moment: float, span: tuple[float, float], is_last: bool) -> bool:
+    """A moment between two parts belongs to the later one."""
+    return span[0] <= moment < span[1] or (is_last and moment >= span[1])
+
+
+def _held(
+    target: JointTarget, span: tuple[float, float], is_last: bool, lead: float, placement: Placement
+) -> list[Constraint]:
+    """The part's share of a joint that is held at a place."""
+    begin, end = target.interval
+    if begin == end:
+        if not _is_in(begin, span, is_last):
+            return []
+        moments: float | tuple[float, float] = begin - span[0] + lead
+    else:
+        first, last = max(begin, span[0]), min(end, span[1])
+        if last <= first:
+            return []
+        moments = (first - span[0] + lead, last - span[0] + lead)
+    position = placement.to_part([0.0 if value is None else value for value in target.position]).tolist()
+    if target.position[0] is None or target.position[2] is None:
+        # in a part that is turned, an axis of the floor that is free is no axis of the part
+        free = (None, position[1], None)
+        return [replace(target, position=free, seconds=moments)] if target.position[1] is not None else []
+    height = None if target.position[1] is None else position[1]
+    return [replace(target, position=(position[0], height, position[2]), seconds=moments)]
+
+
+def _piece(path: Path, span: tuple[float, float], whole: float, lead: float, placement: Placement) -> list[Constraint]:
+    """The part's piece of a path."""
+    moments = path.moments(whole)
+    first, last = max(float(moments[0]), span[0]), min(float(moments[-1]), span[1])
+    if last - first < 1e-6:
+        return []
+    inside = moments[(moments > first) & (moments < last)]
+    grid = np.arange(first, last, PATH_STEP)
+    times = np.unique(np.round(np.concatenate([grid, inside, [first, last]]), 6))
+    heading = path.heading
+    if isinstance(heading, np.ndarray):
+        angles = path.headings(times, whole)
+        heading = None if angles is None else np.degrees(angles - placement.heading)
+    points = placement.floor_to_part(path.positions(times, whole))
+    return [Path(points, times - span[0] + lead, heading, path.weight)]
+
+
+def _fingerprint(constraint: Constraint) -> tuple[object, ...]:
+    """All that a constraint says, as a value that can be compared."""
+    values = (getattr(constraint, field.name) for field in fields(constraint))
+    return (type(constraint), *((value.tobytes() if isinstance(value, np.ndarray) else value) for value in values))

@@ -1,0 +1,168 @@
+"""Authoring in the playground: a path drawn on the floor, waypoints and pins, on a timeline; all of it undone."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import pytest
+
+from kinegraph import MotionPipeline
+from kinegraph.formats import encode
+from kinegraph.formats.constraints_json import decode
+from support.browsing import Open, clips_shown, download, generate, picture_at, shows, wait_until
+from support.characters import BUILDS, make_character
+from support.playground import PlaygroundClient
+
+if TYPE_CHECKING:
+    from playwright.sync_api import Page
+
+
+@pytest.fixture(autouse=True)
+def constrained(pipe: MotionPipeline) -> None:
+    if not pipe.sampler.sessions.decoder_gradients:
+        pytest.skip("the default bundle has no gradients")
+
+
+def wait_made(page: Page, count: int) -> None:
+    wait_until(page, lambda: clips_shown(page) >= count, 60)
+
+
+def pins(page: Page) -> list[str]:
+    """What each pin says: its name, its time, and the miss of the clip that is seen."""
+    return [pin.get_attribute("aria-label") or "" for pin in page.locator(".tracks .pin").all()]
+
+
+def misses(page: Page) -> list[float]:
+    """Centimetres."""
+    return [float(found[1]) for found in (re.search(r"missed by ([\d.]+) cm", text) for text in pins(page)) if found]
+
+
+def draw_path(page: Page) -> None:
+    """Draw a way on the floor with the mouse."""
+    page.get_by_role("button", name="Path").click()
+    box = page.locator("canvas").bounding_box()
+    assert box is not None
+    x, y = box["x"], box["y"]
+    page.mouse.move(x + 0.5 * box["width"], y + 0.8 * box["height"])
+    page.mouse.down()
+    for share in (0.55, 0.6, 0.66, 0.72):
+        page.mouse.move(x + share * box["width"], y + 0.85 * box["height"], steps=3)
+    page.mouse.up()
+
+
+def pin(page: Page, name: str) -> None:
+    page.get_by_text("Pin", exact=True).click()
+    page.get_by_role("button", name=name, exact=True).click()
+
+
+def test_a_scene_is_authored_exported_undone_and_found_again(
+    open_page: Open, server: PlaygroundClient, pipe: MotionPipeline, tmp_path: Path
+) -> None:
+    page = open_page(server.url, 1100, 800)
+    generate(page, "a person walks forward", seconds="2", seed="3", steps="2")
+    for count, text in ((2, "a person waves the right hand"), (4, "a person walks forward")):
+        page.get_by_role("button", name="+ Sentence").click()
+        wait_made(page, count)
+        page.get_by_label("What should the person do?").fill(text)
+        page.get_by_role("button", name="Generate").click()
+        wait_made(page, count + 1)
+    picture_at(page, 3.0)
+    draw_path(page)
+    wait_made(page, 6)
+    assert len(pins(page)) == 1 and pins(page)[0].startswith("path from 0.0 to 6.0 s") and misses(page)[0] < 10
+    pin(page, "right hand")
+    wait_made(page, 7)
+    assert pins(page)[1].startswith("right wrist at 3.0 s") and max(misses(page)) < 10
+    page.get_by_label("y of the right wrist").fill("1.6")
+    page.get_by_label("y of the right wrist").press("Enter")
+    wait_made(page, 8)
+    # takes, an own character, a file with it
+    page.get_by_role("button", name="More takes").click()
+    wait_until(page, lambda: page.locator(".take").count() == 4, 120)
+    page.get_by_label("Take with seed 5").click()
+    wait_until(page, lambda: "seed 5" in page.locator(".facts").inner_text())
+    hero = tmp_path / "hero.glb"
+    hero.write_bytes(make_character(BUILDS["Mixamo, T-pose, centimetres"]))
+    before = shows(page)
+    page.locator(".character-file").set_input_files(hero)
+    wait_until(page, lambda: shows(page) > before)
+    data = fetch(page)
+    assert b"mixamorig" in data
+    # undo through all of it, and all of it again after a reload
+    for _ in range(12):
+        if page.get_by_role("button", name="Undo").is_disabled():
+            break
+        before = shows(page)
+        page.get_by_role("button", name="Undo").click()
+        wait_until(page, lambda before=before: shows(page) > before, 60)  # type: ignore[misc]
+    assert page.locator(".segment").count() == 1 and pins(page) == []
+    page.reload()
+    page.wait_for_selector("html[data-shown]", state="attached")
+    while not page.get_by_role("button", name="Redo").is_disabled():
+        before = shows(page)
+        page.get_by_role("button", name="Redo").click()
+        wait_until(page, lambda before=before: shows(page) > before, 60)  # type: ignore[misc]
+    assert page.locator(".segment").count() == 3 and len(pins(page)) == 2 and fetch(page) == data
+
+
+def fetch(page: Page) -> bytes:
+    """Download the GLB, whatever it is called."""
+    with page.expect_download(timeout=60_000) as waiting:
+        page.locator("[data-suffix='.glb']").click()
+    return Path(waiting.value.path()).read_bytes()
+
+
+def test_one_sentence_with_pins_is_the_clip_of_the_pipeline(
+    open_page: Open, server: PlaygroundClient, pipe: MotionPipeline
+) -> None:
+    page = open_page(server.url, 1100, 800)
+    generate(page, "a person walks forward", seconds="3", seed="3", steps="3")
+    picture_at(page, 2.0)
+    page.get_by_role("button", name="Waypoint").click()
+    wait_made(page, 2)
+    for axis, value in (("x", "0.5"), ("z", "1.6")):
+        page.get_by_label(f"{axis} of the waypoint").fill(value)
+        page.get_by_label(f"{axis} of the waypoint").press("Enter")
+    wait_until(page, lambda: clips_shown(page) >= 3 and not page.get_by_role("button", name="Cancel").is_visible())
+    wanted = decode([{"type": "waypoint", "seconds": 2, "position": [0.5, 1.6]}])
+    clip = pipe.generate("a person walks forward", seconds=3, seed=3, steps=3, constraints=wanted)
+    assert download(page, ".npz") == encode(clip, ".npz")
+    # by the keyboard: it moves, in time, too, and goes
+    count = clips_shown(page)
+    page.locator(".pin").focus()
+    page.keyboard.press("ArrowUp")
+    wait_made(page, count + 1)
+    page.keyboard.press("Shift+ArrowRight")
+    wait_made(page, count + 2)
+    assert pins(page)[0].startswith("waypoint at 2.1 s")
+    assert page.get_by_label("z of the waypoint").input_value() == "1.7"
+    page.keyboard.press("Delete")
+    wait_made(page, count + 3)
+    assert pins(page) == [] and page.evaluate("document.activeElement.innerText") == "Path"
+
+
+def test_a_waypoint_is_dragged_in_the_room(open_page: Open, server: PlaygroundClient) -> None:
+    page = open_page(server.url, 1100, 800)
+    generate(page, "a person walks forward", seconds="2", seed="3", steps="2")
+    picture_at(page, 1.0)
+    page.get_by_role("button", name="Waypoint").click()
+    wait_made(page, 2)
+    before = page.get_by_label("z of the waypoint").input_value()
+    box = page.locator("canvas").bounding_box()
+    assert box is not None
+    # the camera looks at the root, 0.92 m above the waypoint
+    x, y = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
+    found = None
+    for offset in range(60, int(box["height"] / 2), 6):
+        page.mouse.move(x, y + offset)
+        page.mouse.down()
+        page.mouse.move(x + 30, y + offset, steps=2)
+        page.mouse.up()
+        if page.get_by_label("z of the waypoint").input_value() != before:
+            found = offset
+            break
+    assert found is not None
+    wait_made(page, 3)
+    assert misses(page)[0] < 10

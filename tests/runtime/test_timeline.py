@@ -1,0 +1,147 @@
+"""Timelines with constraints on the whole: parts get their share, in their own frame, and begin in the last pose."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from kinegraph import MotionPipeline
+from kinegraph.constraints import EndPose, JointTarget, Keyframe, Loop, Path, StartPose, Waypoint
+from kinegraph.errors import InvalidInputError
+from kinegraph.motion.skeleton import JOINT_INDEX, PELVIS, facing_angle
+from kinegraph.timeline import PartMemory, Placement, generate_timeline, joined, localised, placement_of
+from support.motions import walk
+
+WHERE = Placement(np.array([1.0, 0.0, 2.0]), np.pi / 2)
+"""A part that begins at (1, 2) and faces +X."""
+TEXTS = ["a person walks", "a person waves", "a person walks"]
+
+
+def test_a_placement_brings_a_part_where_the_whole_has_it() -> None:
+    ahead = np.array([0.0, 1.5, 1.0])  # a metre ahead is a metre towards +X
+    np.testing.assert_allclose(WHERE.to_whole(ahead.astype(np.float32)), [2.0, 1.5, 2.0], atol=1e-6)
+    np.testing.assert_allclose(WHERE.to_part([2.0, 1.5, 2.0]), ahead, atol=1e-9)
+    np.testing.assert_allclose(WHERE.floor_to_part([[2.0, 2.0], [1.0, 3.0]]), [[0, 1], [-1, 0]], atol=1e-9)
+    pose = walk(30)[20]
+    there = placement_of(WHERE.to_whole(pose))
+    back = there.to_part(WHERE.to_whole(pose))
+    np.testing.assert_allclose(back[PELVIS, [0, 2]], 0, atol=1e-5)
+    assert float(facing_angle(back[None].astype(np.float32))[0]) == pytest.approx(0, abs=1e-5)
+
+
+def test_each_part_gets_what_falls_into_it_in_its_own_time_and_place() -> None:
+    start, end = StartPose(walk(4)), EndPose(walk(4))
+    key = Keyframe(2.5, walk(10)[5])
+    constraints = [start, end, Waypoint(1.0, (0, 1)), Waypoint(3.0, (2.0, 2.0), heading=90), key]
+
+    def share(begin: float, stop: float) -> list[Any]:
+        return list(localised(constraints, (begin, stop), 6.0, 0.2 if begin else 0.0, WHERE))
+
+    assert [type(one) for one in share(0.0, 2.0)] == [StartPose, Waypoint]
+    waypoint, keyframe = share(2.0, 4.0)
+    assert waypoint.seconds == pytest.approx(1.2) and waypoint.heading == pytest.approx(0)
+    np.testing.assert_allclose(waypoint.position, (0, 1), atol=1e-9)
+    assert keyframe.seconds == pytest.approx(0.7)
+    np.testing.assert_allclose(keyframe.joints, WHERE.to_part(key.joints), atol=1e-5)
+    assert [type(one) for one in share(4.0, 6.0)] == [EndPose]
+    at_end = localised([Waypoint(6.0, (0, 1)), Waypoint(2.0, (0, 1))], (4.0, 6.0), 6.0, 0.2, WHERE)
+    assert [one.seconds for one in at_end] == pytest.approx([2.2])  # type: ignore[union-attr]
+
+
+def test_a_path_is_cut_into_the_pieces_of_the_parts() -> None:
+    path = Path([[0, 0], [0, 3], [3, 3]], heading=[0, 0, 90])
+    turned = Placement(np.array([0.0, 0.0, 3.0]), np.pi / 2)
+    (first,) = localised([path], (0.0, 3.0), 6.0, 0.0, Placement(np.zeros(3), 0.0))
+    (second,) = localised([path], (3.0, 6.0), 6.0, 0.2, turned)
+    assert isinstance(first, Path) and isinstance(second, Path) and first.times is not None
+    np.testing.assert_allclose(first.points[[0, -1]], [[0, 0], [0, 3]], atol=1e-9)
+    np.testing.assert_allclose(second.points[[0, -1]], [[0, 0], [0, 3]], atol=1e-9)  # ahead, as the part sees it
+    assert second.times is not None and second.times[0] == pytest.approx(0.2) and second.times[-1] == pytest.approx(3.2)
+    assert isinstance(second.heading, np.ndarray) and second.heading[-1] == pytest.approx(0)
+    assert localised([Path([[0, 0], [1, 1]], times=[0, 2])], (3.0, 6.0), 6.0, 0.2, WHERE) == ()
+
+
+def test_a_joint_that_is_held_over_a_join_is_held_in_both_parts() -> None:
+    held = JointTarget("left hand", (2.0, 1.5, 2.0), (1.0, 5.0))
+    (before,) = localised([held], (0.0, 2.0), 6.0, 0.0, WHERE)
+    (after,) = localised([held], (2.0, 6.0), 6.0, 0.2, WHERE)
+    assert isinstance(before, JointTarget) and isinstance(after, JointTarget)
+    assert before.interval == pytest.approx((1.0, 2.0)) and after.interval == pytest.approx((0.2, 3.2))
+    np.testing.assert_allclose(after.position, (0, 1.5, 1), atol=1e-9)  # type: ignore[arg-type]
+    (high,) = localised([JointTarget("head", (None, 1.2, None), 1.0)], (0.0, 2.0), 6.0, 0.0, WHERE)
+    assert isinstance(high, JointTarget) and high.position == (None, 1.2, None)
+
+
+def test_motions_are_joined_over_frames_that_are_the_same() -> None:
+    motion = walk(40)
+    whole = joined(motion[:24], motion[20:], 4)
+    np.testing.assert_allclose(whole, motion, atol=1e-6)
+
+
+@pytest.fixture
+def constrained(toy: MotionPipeline) -> MotionPipeline:
+    if not toy.sampler.sessions.decoder_gradients:
+        pytest.skip("the toy bundle has no gradients")
+    return toy
+
+
+def test_parts_follow_one_another_without_a_jump_and_keep_their_lengths(constrained: MotionPipeline) -> None:
+    wanted = [Path([[0, 0], [0, 2], [1, 3]]), JointTarget("right hand", (None, 1.3, None), 3.0)]
+    clip = generate_timeline(constrained, TEXTS, seconds=[2, 1.5, 1.5], constraints=wanted, seed=3, steps=3)
+    assert clip.frames == 100 and clip.seed == 3 and len(clip.misses) == 2
+    assert max(miss.metres for miss in clip.misses) < 0.1
+    assert abs(clip.joints[60, JOINT_INDEX["right_wrist"], 1] - 1.3) < 0.1
+    steps = np.linalg.norm(np.diff(clip.joints, axis=0), axis=-1).max(axis=1)
+    seams = steps[[39, 40, 69, 70]]
+    assert seams.max() < 2 * np.quantile(steps, 0.95)
+
+
+def test_only_what_changed_is_made_again(constrained: MotionPipeline) -> None:
+    calls: list[float] = []
+    memory, generate = PartMemory(), constrained.generate
+
+    class Counting:
+        manifest = constrained.manifest
+
+        def generate(self, *arguments: Any, **options: Any) -> Any:
+            calls.append(options["seconds"])
+            return generate(*arguments, **options)
+
+    def make(texts: list[str], *wanted: Any) -> Any:
+        calls.clear()
+        return generate_timeline(
+            Counting(), texts, seconds=1, constraints=wanted, seed=3, steps=2, memory=memory  # type: ignore[arg-type]
+        )  # fmt: skip
+
+    late = Waypoint(2.8, (0.2, 1.5))
+    first = make(TEXTS, late)
+    assert len(calls) == 3
+    again = make(TEXTS, late)
+    assert not calls and np.array_equal(first.joints, again.joints)
+    make(TEXTS, Waypoint(2.8, (0.3, 1.5)))
+    assert len(calls) == 1  # the last part alone
+    make([TEXTS[0], "a person bows", TEXTS[2]], late)
+    assert len(calls) == 2  # from the changed sentence on
+    fresh = generate_timeline(constrained, TEXTS, seconds=1, constraints=[late], seed=3, steps=2)
+    assert np.array_equal(fresh.joints, first.joints)
+
+
+def test_the_memory_is_bounded(constrained: MotionPipeline) -> None:
+    memory = PartMemory(2)
+    for key in "abc":
+        memory.keep(key, key)  # type: ignore[arg-type]
+        memory.get("a")
+    assert [memory.get(key) for key in "abc"] == ["a", None, "c"]
+
+
+def test_what_does_not_fit_a_timeline_is_refused(toy: MotionPipeline) -> None:
+    with pytest.raises(InvalidInputError, match="a loop is for one sentence"):
+        generate_timeline(toy, TEXTS, seconds=1, constraints=[Loop()])
+    with pytest.raises(InvalidInputError, match="needs the seconds"):
+        generate_timeline(toy, TEXTS, seconds=None)  # type: ignore[arg-type]
+    with pytest.raises(InvalidInputError):
+        generate_timeline(toy, [], seconds=1)
+    with pytest.raises(InvalidInputError, match="behind the end"):
+        generate_timeline(toy, TEXTS, seconds=1, constraints=[Waypoint(9.0, (0, 1))])
