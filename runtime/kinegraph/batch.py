@@ -25,13 +25,13 @@ from typing import IO, Any, Final
 from kinegraph.clip import Clip
 from kinegraph.errors import InvalidInputError, KinegraphError, ModelError, OutputError
 from kinegraph.files import check_target
-from kinegraph.formats import WRITERS, check_clip_target, check_names, check_root
+from kinegraph.formats import WRITERS, check_clip_target, check_names, check_root, constraints_json
 from kinegraph.formats.character import DEFAULT_FPS, Character, read_character
 from kinegraph.options import MAX_SEED
 from kinegraph.pipeline import MotionPipeline
 from kinegraph.validation import check_fps
 
-COLUMNS: Final = ("text", "seconds", "seed", "name")
+COLUMNS: Final = ("text", "seconds", "seed", "name", "constraints")
 MANIFEST: Final = "manifest.jsonl"
 MAX_ROWS: Final = 1_000_000
 MAX_TABLE_BYTES: Final = 1 << 28
@@ -51,6 +51,8 @@ class BatchRow:
     seed: int
     name: str
     """File name without suffix."""
+    constraints: str | None = None
+    """Path of a file of constraints, see `formats.constraints_json`."""
 
 
 @dataclass(frozen=True)
@@ -87,10 +89,10 @@ class BatchOptions:
 
 
 def read_table(path: str | os.PathLike[str], seed: int = 0) -> list[BatchRow]:
-    """Read a CSV file with a head: the column text, and seconds, seed and name where wanted.
+    """Read a CSV file with a head: the column text, and seconds, seed, name and constraints where wanted.
 
     Args:
-        path: file in UTF-8.
+        path: file in UTF-8; the files of constraints that it names are found from its folder.
         seed: of the first row without one; that of row k is seed + k - 1.
 
     Raises:
@@ -102,9 +104,13 @@ def read_table(path: str | os.PathLike[str], seed: int = 0) -> list[BatchRow]:
         head = [name.strip().lower() for name in next(reader, [])]
         if "text" not in head or len(set(head)) != len(head) or not set(head) <= set(COLUMNS):
             shown = ",".join(head)[:80]
-            raise InvalidInputError(f"{where}: the head is {shown!r}; it must be text, with seconds, seed, name")
+            raise InvalidInputError(
+                f"{where}: the head is {shown!r}; it must be text, with seconds, seed, name, constraints"
+            )
         filled = _filled_rows(reader, len(head), where)
-        rows = [_row(number, dict(zip(head, values, strict=True)), seed) for number, values in filled]
+        rows = [
+            _row(number, dict(zip(head, values, strict=True)), seed, Path(path).parent) for number, values in filled
+        ]
     except csv.Error as error:
         raise InvalidInputError(f"{where}, line {reader.line_num}: {error}") from error
     if not 1 <= len(rows) <= MAX_ROWS:
@@ -180,7 +186,13 @@ class ClipMaker:
         start = time.perf_counter()
         record = {**asdict(row), "key": _key(row, self._options)}
         try:
-            clip = self._pipeline.generate(row.text, seconds=row.seconds, seed=row.seed, strict=self._options.strict)
+            clip = self._pipeline.generate(
+                row.text,
+                constraints=() if row.constraints is None else constraints_json.read(row.constraints),
+                seconds=row.seconds,
+                seed=row.seed,
+                strict=self._options.strict,
+            )
             file = _file(row, self._options)
             frames, fps = self._save(clip, self._folder / file)
         except KinegraphError as error:
@@ -193,6 +205,7 @@ class ClipMaker:
             "bundle": clip.bundle,
             "unknown": [words.to_dict() for words in clip.unknown],
             "notes": list(clip.notes),
+            "misses": [asdict(miss) for miss in clip.misses],
             "ms": round(1000 * (time.perf_counter() - start), 1),
         }
 
@@ -268,11 +281,14 @@ def _file(row: BatchRow, options: BatchOptions) -> str:
 
 
 def _key(row: BatchRow, options: BatchOptions) -> str:
-    """Digest what a file depends on: the row but its number, the options, and the character's bytes' age and size."""
+    """Digest what a file depends on: the row but its number, the options, and age and size of the files they name."""
     made_of: dict[str, Any] = {**asdict(row), "row": None, **asdict(options)}
-    if options.character is not None:
-        status = Path(options.character).stat()
-        made_of["character"] = [options.character, status.st_size, status.st_mtime_ns]
+    if row.constraints is None:
+        del made_of["constraints"]  # folders made before rows had constraints go on
+    for name in ("character", "constraints"):
+        if made_of.get(name) is not None:
+            status = Path(made_of[name]).stat()
+            made_of[name] = [made_of[name], status.st_size, status.st_mtime_ns]
     return hashlib.sha256(json.dumps(made_of, sort_keys=True).encode()).hexdigest()[:16]
 
 
@@ -322,8 +338,8 @@ def _filled_rows(reader: Iterator[list[str]], width: int, where: str) -> Iterato
         yield number, values
 
 
-def _row(number: int, values: dict[str, str], seed: int) -> BatchRow:
-    text, seconds, own_seed, name = (values.get(column, "").strip() for column in COLUMNS)
+def _row(number: int, values: dict[str, str], seed: int, folder: Path) -> BatchRow:
+    text, seconds, own_seed, name, constraints = (values.get(column, "").strip() for column in COLUMNS)
     try:
         length = float(seconds) if seconds else None
         chosen = int(own_seed) if own_seed else seed + number - 1
@@ -336,4 +352,7 @@ def _row(number: int, values: dict[str, str], seed: int) -> BatchRow:
         name = f"{number:06}" + (f"_{slug}" if slug else "")
     if not re.fullmatch(r"[\w][\w .-]{0,119}", name) or name.lower() == Path(MANIFEST).stem:
         raise InvalidInputError(f"row {number}: {name[:60]!r} is no name for a file; use letters, digits, - and _")
-    return BatchRow(number, text, length, chosen, name)
+    file = folder / constraints if constraints else None
+    if file is not None and not file.is_file():
+        raise InvalidInputError(f"row {number}: there is no file of constraints {str(file)[:200]!r}")
+    return BatchRow(number, text, length, chosen, name, None if file is None else str(file))

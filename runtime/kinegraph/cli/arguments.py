@@ -7,6 +7,7 @@ from functools import partial
 from pathlib import Path
 from typing import Final
 
+from kinegraph.cli.constraints import add_constraints
 from kinegraph.errors import InvalidInputError
 
 SHOWN_ACTIONS: Final = 40
@@ -55,6 +56,7 @@ def add_generate(parser: argparse.ArgumentParser) -> None:
     parser.epilog = KNOWN_PHRASES
     parser.add_argument("text", nargs="?", help="the sentence, e.g. 'a person walks forward and waves'")
     _add_edits(parser)
+    add_constraints(parser)
     _add_seconds(parser)
     _add_sampling_and_output(parser)
 
@@ -91,6 +93,7 @@ def add_compose(parser: argparse.ArgumentParser) -> None:
         metavar="A,R",
         help="step sizes of adaptive gradient descent, e.g. 0.1,0.1; default: off",
     )
+    add_constraints(parser)
     _add_seconds(parser)
     _add_sampling_and_output(parser)
 
@@ -125,7 +128,10 @@ def add_retarget(parser: argparse.ArgumentParser) -> None:
 def add_batch(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of `batch`."""
     parser.add_argument(
-        "table", type=Path, metavar="PROMPTS.csv", help="columns: text, and seconds, seed, name if wanted"
+        "table",
+        type=Path,
+        metavar="PROMPTS.csv",
+        help="columns: text, and seconds, seed, name, constraints (a file) if wanted",
     )
     parser.add_argument("-o", "--output", type=Path, required=True, metavar="FOLDER", help="for the files and manifest")
     parser.add_argument("--format", default=".npz", metavar="SUFFIX", help="of the files; default .npz")

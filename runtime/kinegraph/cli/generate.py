@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, Self
 
 from kinegraph.cli.character import character_fps, check_character, load_character
 from kinegraph.cli.console import Progress, as_json, one_line
+from kinegraph.cli.constraints import describe_misses, miss_records, parse_constraints
 from kinegraph.cli.inputs import apply_edits, load_pipeline, parse_concepts, read_text_or_graph, take_paths
 from kinegraph.errors import OutputError
 from kinegraph.unknown import describe_unknown
@@ -48,6 +49,7 @@ def generate(args: argparse.Namespace) -> int:
     targets = _check_targets(args)
     text_or_graph = read_text_or_graph(args.text, args.graph)
     seconds: float | None = args.seconds
+    constraints = parse_constraints(args)
     sampling = SamplingOptions.from_args(args)
 
     def make_clips(pipeline: MotionPipeline, on_step: OnStep) -> list[Clip]:
@@ -56,6 +58,8 @@ def generate(args: argparse.Namespace) -> int:
         return pipeline.takes(
             graph,
             len(targets),
+            constraints=constraints,
+            constraint_weight=args.constraint_weight,
             seconds=seconds,
             seed=sampling.seed,
             steps=sampling.steps,
@@ -74,6 +78,7 @@ def compose(args: argparse.Namespace) -> int:
     if args.energy is not None:
         _check_picture_target(args.energy, targets, args.force)
     concepts = parse_concepts(args.positive, args.negated)
+    constraints = parse_constraints(args)
     sampling = SamplingOptions.from_args(args)
 
     def make_clips(pipeline: MotionPipeline, on_step: OnStep) -> list[Clip]:
@@ -84,6 +89,8 @@ def compose(args: argparse.Namespace) -> int:
                 text=args.text,
                 lambdas=args.lambdas,
                 agd=args.agd,
+                constraints=constraints,
+                constraint_weight=args.constraint_weight,
                 seconds=args.seconds,
                 seed=seed,
                 steps=sampling.steps,
@@ -208,11 +215,15 @@ def _run(args: argparse.Namespace, targets: Sequence[Path], make_clips: MakeClip
             "bundle": f"{pipeline.manifest.name} {pipeline.manifest.version}",
             "unknown": [words.to_dict() for words in clip.unknown],
             "notes": list(clip.notes),
+            "misses": miss_records(clip.misses),
             "load_ms": round(1000 * (loaded - start), 1),
             "generate_ms": round(1000 * (generated - loaded), 1),
             "write_ms": round(1000 * (time.perf_counter() - write_start), 1),
         }
         _report(record, args)
+        if not args.json and not args.quiet:
+            for line in describe_misses(clip.misses):
+                print(f"  {one_line(line)}")
     return 0
 
 
