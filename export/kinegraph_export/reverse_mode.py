@@ -271,7 +271,8 @@ def _attention_in_parts(node: onnx.NodeProto, graph: onnx.GraphProto) -> list[on
     """Write fused attention as softmax(q k^T / sqrt(d/h) + bias) v with heads (b, h, s, d/h)."""
     query, key, value, *_, bias = node.input
     stem, heads = node.output[0], _attributes(node)["num_heads"]
-    width = next(len(numpy_helper.to_array(t)) for t in graph.initializer if t.name.endswith("decoder.norm.bias"))
+    norm = next(other for other in graph.node if other.op_type == "LayerNormalization")  # of the same width
+    width = next(tensor.dims[0] for tensor in graph.initializer if tensor.name == norm.input[1])
     shapes = {"split": [0, 0, heads, width // heads], "merge": [0, 0, width]}
     for name, shape in shapes.items():
         if not any(tensor.name == f"heads_{name}" for tensor in graph.initializer):

@@ -240,16 +240,20 @@ def _sample_joints(
     latents = sample_hierarchy(levels, noise, make_predictor, sampler.schedule, progress.diffused, on_latent)[-1]
     terms = wanted.terms(frames, fps)
     energy = DecodedEnergy(sampler.sessions, manifest, LEVELS[-1], frames, terms)
-    standing = replace(energy, terms=(*terms, *_standing(joints_from_features(energy.decode(latents)), fps)))
+    wants = _Metered(terms)
+    standing = replace(energy, terms=(wants, *_standing(joints_from_features(energy.decode(latents)), fps)))
+    enough = 0.5 * CLOSE**2 * (sum(constraint.weight for constraint in wanted.constraints) + (wanted.kept is not None))
     limits = Limits(
         steps=DESCENT_STEPS,
         hold=HOLD / max(wanted.weight, 1e-3),
         away=MAX_AWAY,
-        enough=0.5
-        * CLOSE**2
-        * (sum(constraint.weight for constraint in wanted.constraints) + (wanted.kept is not None)),
     )
-    latents = descend(standing, latents, limits, progress.descended)
+
+    def after(number: int) -> bool:
+        progress.descended(number)
+        return wants.energy <= enough
+
+    latents = descend(standing, latents, limits, after)
     progress.finished()
     joints = enforce_bone_lengths(joints_from_features(energy.decode(latents)), decoder.bones)
     if not wanted.fix:
@@ -287,6 +291,18 @@ def _standing(joints: FloatArray, fps: float) -> tuple[Term, ...]:
         return floor_energy(moved, weight)
 
     return stance, floor
+
+
+@dataclass
+class _Metered:
+    """The energy of what is wanted as one term, which remembers its last value."""
+
+    terms: Sequence[Term]
+    energy: float = np.inf
+
+    def __call__(self, joints: Floats) -> Energy:
+        self.energy, gradient = total_energy(self.terms, joints)
+        return self.energy, gradient
 
 
 @dataclass

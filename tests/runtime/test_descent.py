@@ -10,7 +10,7 @@ from kinegraph.diffusion.descent import EnergyOf, Limits, descend
 RNG = np.random.default_rng(0)
 MATRIX = RNG.normal(size=(6, 12))
 TARGET = RNG.normal(size=6)
-FREE = Limits(steps=60, hold=0.0, away=100.0, enough=0.0)
+FREE = Limits(steps=60, hold=0.0, away=100.0)
 
 
 def quadratic(latent: np.ndarray) -> tuple[float, np.ndarray]:
@@ -28,7 +28,7 @@ def test_it_finds_the_minimum_of_a_quadratic() -> None:
 
 def test_a_hold_is_ridge_regression() -> None:
     start = RNG.normal(size=12).astype(np.float32)
-    found = descend(quadratic, start, Limits(steps=80, hold=6.0, away=100.0, enough=0.0))
+    found = descend(quadratic, start, Limits(steps=80, hold=6.0, away=100.0))
     expected = start + np.linalg.solve(MATRIX.T @ MATRIX + 0.5 * np.eye(12), MATRIX.T @ (TARGET - MATRIX @ start))
     np.testing.assert_allclose(found, expected, atol=5e-3)
 
@@ -37,12 +37,18 @@ def test_a_hold_is_ridge_regression() -> None:
 def test_it_stops_where_it_is_told_to(away: float) -> None:
     start = np.zeros(12, dtype=np.float32)
     seen: list[int] = []
-    found = descend(quadratic, start, Limits(steps=60, hold=0.0, away=away, enough=0.0), seen.append)
+    found = descend(quadratic, start, Limits(steps=60, hold=0.0, away=away), lambda number: bool(seen.append(number)))
     # one step past the limit at most
     assert np.sqrt((found**2).mean()) < away + 0.5 and seen == list(range(1, len(seen) + 1))
     assert len(seen) < 60
-    enough = descend(quadratic, start, Limits(steps=60, hold=0.0, away=9.0, enough=1e9))
-    np.testing.assert_array_equal(enough, start)
+    calls: list[int] = []
+
+    def third(number: int) -> bool:
+        calls.append(number)
+        return number == 3
+
+    descend(quadratic, start, FREE, third)
+    assert calls == [1, 2, 3]
 
 
 def test_it_never_goes_up() -> None:

@@ -39,12 +39,10 @@ class Limits:
     """How strongly the latent is held to where it started."""
     away: float
     """Largest root mean square of the way from there."""
-    enough: float
-    """Energy at which it ends."""
 
 
 def descend(
-    energy: EnergyOf, start: FloatArray, limits: Limits, after: Callable[[int], None] | None = None
+    energy: EnergyOf, start: FloatArray, limits: Limits, after: Callable[[int], bool] | None = None
 ) -> FloatArray:
     """Descend E(z) + hold / 2 mean (z - start)^2 from `start`.
 
@@ -52,7 +50,7 @@ def descend(
         energy: E and its gradient.
         start: any shape.
         limits: of the descent.
-        after: called after each step with its number from 1 on; what it raises ends the descent.
+        after: called after each step with its number from 1 on; True ends the descent, and so does what it raises.
 
     Returns:
         The latent, of the shape of `start`.
@@ -68,8 +66,6 @@ def descend(
     latent, pairs = origin, deque[tuple[DoubleArray, DoubleArray]](maxlen=MEMORY)
     value, gradient = held(latent)
     for number in range(1, limits.steps + 1):
-        if value <= limits.enough:
-            break
         step = _direction(value, gradient, pairs)
         accepted = _accept(held, latent, value, gradient, step)
         if accepted is None:
@@ -84,8 +80,8 @@ def descend(
             latent, gradient = latent + step, next_gradient
             if float(np.sqrt(((latent - origin) ** 2).mean())) > limits.away:
                 break
-        if after is not None:
-            after(number)
+        if after is not None and after(number):
+            break
     return latent.astype(np.float32)
 
 
