@@ -55,25 +55,32 @@ FEW: dict[str, Any] = {"seconds": 1, "seed": 1, "steps": 1}
 
 
 @contextmanager
-def bounded(seconds: float = MOST_SECONDS) -> Iterator[None]:
-    """Hold a block to the limits: time of the CPU, since machines that run tests are busy, and memory at its peak."""
+def bounded(seconds: float = MOST_SECONDS) -> Iterator[Callable[[], None]]:
+    """Hold a block to the limits: time of the CPU, since machines that run tests are busy, and memory at its peak.
+
+    Yields a function that a block of many calls calls before each: memory counts from there, for who draws thousands of
+    requests keeps them.
+    """
     process = psutil.Process()
-    before, start, done = process.memory_info().rss, time.process_time(), threading.Event()
-    peak = [before]
+    before, start, done = [process.memory_info().rss], time.process_time(), threading.Event()
+    most = [0]
 
     def watch() -> None:
         while not done.wait(0.005):
-            peak[0] = max(peak[0], process.memory_info().rss)
+            most[0] = max(most[0], process.memory_info().rss - before[0])
+
+    def count_from_here() -> None:
+        before[0] = process.memory_info().rss
 
     watcher = threading.Thread(target=watch)
     watcher.start()
     try:
-        yield
+        yield count_from_here
     finally:
         done.set()
         watcher.join()
     assert time.process_time() - start <= seconds
-    assert (peak[0] - before) / 1e6 <= MOST_MEGABYTES
+    assert most[0] / 1e6 <= MOST_MEGABYTES
 
 
 # Any request
@@ -146,12 +153,17 @@ def requests(draw: st.DrawFn) -> tuple[str, list[Any], dict[str, Any]]:
 
 
 def build(value: object) -> object:
-    """Make graphs and concepts of their plain values, as a caller would."""
+    """Make graphs and concepts of their plain values, as a caller would, also in a list; deeper lists stay."""
+    return [build_one(item) for item in value] if isinstance(value, list) and len(value) < 9 else build_one(value)
+
+
+def build_one(value: object) -> object:
+    """Make a graph or a concept of its plain values; anything else stays."""
     if isinstance(value, dict) and "caption" in value:
         return SemanticGraph.from_dict(value)
     if isinstance(value, dict) and "concept" in value:
-        return Concept(build(value["concept"]), value["weight"])  # type: ignore[arg-type]
-    return [build(item) for item in value] if isinstance(value, list) and len(value) < 9 else value
+        return Concept(build_one(value["concept"]), value["weight"])  # type: ignore[arg-type]
+    return value
 
 
 def check_result(result: object) -> None:
@@ -172,6 +184,7 @@ def test_any_request_gives_a_motion_or_a_typed_error(
     @given(requests())
     def check(request: tuple[str, list[Any], dict[str, Any]]) -> None:
         call, arguments, options = request
+        count_from_here()
         start = time.process_time()
         try:
             check_result(getattr(toy, call)(*map(build, arguments), **options))
@@ -181,7 +194,7 @@ def test_any_request_gives_a_motion_or_a_typed_error(
             outcomes["error"] += 1
         assert time.process_time() - start <= MOST_SECONDS
 
-    with bounded(1e9):
+    with bounded(1e9) as count_from_here:
         check()
     assert min(outcomes.values()) > sum(outcomes.values()) / 100  # both kinds were tried
     figure(f"any request: {outcomes['motion']} motions, {outcomes['error']} typed errors, nothing else")
@@ -192,10 +205,11 @@ def test_any_text_is_parsed_or_refused(toy: MotionPipeline, is_long: bool) -> No
     @settings(max_examples=10_000 if is_long else 80, deadline=None, database=None)
     @given(TEXTS)
     def check(text: str) -> None:
+        count_from_here()
         with suppress(InvalidInputError):
             assert toy.parse(text).caption == text
 
-    with bounded(1e9):
+    with bounded(1e9) as count_from_here:
         check()
 
 
@@ -458,7 +472,8 @@ LARGEST: dict[str, Callable[[MotionPipeline], object]] = {
 """Names are those of the table in SECURITY.md."""
 MANY = {"64 clips in shared runs": MAX_TAKES, "64 takes": MAX_TAKES, "256 sentences": MAX_PARTS}
 """Calls that make many clips, and how many: these take their time one after another."""
-SECONDS_PER_CLIP = 0.2
+SECONDS_PER_CLIP = 0.4
+"""Of 9.8 s; twice what a slow core needs that is busy with other things."""
 
 
 @pytest.mark.slow
