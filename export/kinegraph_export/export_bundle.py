@@ -49,6 +49,7 @@ from kinegraph.options import resolve_options
 from kinegraph.pipeline import MotionPipeline
 from kinegraph.text.argument_classifier import read_provenance
 from kinegraph_export.checkpoints import read_run
+from kinegraph_export.clip_text_encoder import END
 from kinegraph_export.graphs import (
     FLOAT32_GRAPHS,
     INT8_WEIGHT_GRAPHS,
@@ -65,6 +66,7 @@ from kinegraph_training.bundle_tables import read_tables
 from kinegraph_training.data.caption_cache import CaptionEncoder, read_assets
 from kinegraph_training.data.shown_captions import read_shown_captions
 from kinegraph_training.latents import TrainedVae
+from kinegraph_training.layouts import layout_of
 
 PROMPTS = (
     "a person walks forward", "someone runs", "a person raises the left hand", "a man waves with both hands",
@@ -74,6 +76,8 @@ PROMPTS = (
     "a person raises both hands above the head", "a person walks backwards", "a woman waves the left hand",
     "the person dashes forward", "a person walks to the left", "someone waves, then walks away proudly",
 )  # fmt: skip
+CLIP_PIECES = 77
+"""Word pieces that CLIP has positions for."""
 MAX_PIPELINE_MM: dict[Precision, float] = {"fp32": 1.0, "int8": 100.0}
 """Largest mean joint distance, mm, of the runtime to torch and of a batch to single clips, with the same noise.
 
@@ -141,7 +145,8 @@ def build_manifest(
     precision: Precision,
 ) -> Manifest:
     """Build the manifest from the contents of all other `files`, complete but for the parity of the whole pipeline."""
-    config = trained.hierarchy.config
+    config, layout = trained.hierarchy.config, layout_of(len(specific.mean))
+    is_clip = END.encode() in files["tokenizer.json"]
     graphs = {name: data for name, data in files.items() if name.endswith(".onnx")}
     operators = {name: summarise(data, name).operators for name, data in sorted(graphs.items())}
     return Manifest(
@@ -151,7 +156,7 @@ def build_manifest(
         licence=card.licence,
         provenance={
             "training_data": card.training_data,
-            "text_encoder": f"sentence-transformers/all-MiniLM-L6-v2 from {MINILM}",
+            "text_encoder": "CLIP's text tower" if is_clip else f"sentence-transformers/all-MiniLM-L6-v2 from {MINILM}",
             "parser": f"en_core_web_sm from {SPACY_MODEL}",
             "arguments": read_provenance(files["arguments.npz"]) if "arguments.npz" in files else "by rules alone",
             "numbers": describe_precision(operators, precision),
@@ -162,8 +167,10 @@ def build_manifest(
         skeleton=SkeletonSpec(JOINT_NAMES, PARENTS),
         fps=20.0,
         frames=FrameSpec(min=16, max=config.max_frames, per_token=trained.vae.config.frames_per_token),
-        features=FeatureSpec("joints-137", "true", tuple(map(float, specific.mean)), tuple(map(float, specific.std))),
-        text=TextSpec(width=config.text_width, mask_token="[MASK]"),
+        features=FeatureSpec(
+            layout.name, layout.heading, tuple(map(float, specific.mean)), tuple(map(float, specific.std))
+        ),
+        text=TextSpec(config.text_width, END, CLIP_PIECES) if is_clip else TextSpec(config.text_width, "[MASK]"),
         levels=level_specs(trained),
         schedule=ScheduleSpec(config.train_steps, 8.5e-4, 0.012, 1, "leading", "epsilon"),
         defaults=Defaults(card.steps, card.guidance, card.guidance_base, card.seconds),

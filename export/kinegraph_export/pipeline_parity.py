@@ -15,8 +15,8 @@ from torch import Tensor
 from kinegraph.arrays import FloatArray
 from kinegraph.bundle.contract import KINDS, PADDING_BIAS
 from kinegraph.conditioning import GraphArrays
-from kinegraph.motion.features import joints_from_features
 from kinegraph_export.graphs import TrainedModels
+from kinegraph_training.layouts import layout_of
 from kinegraph_training.models.agd import AgdNoisePredictor
 from kinegraph_training.models.denoiser import ContextTokens, Denoiser
 from kinegraph_training.models.hierarchy import GraphBatch
@@ -153,4 +153,4 @@ def torch_joints(
     mask[:, : request.frames] = 1.0
     assert latent is not None
     features = trained.vae.decode(latent * trained.scale + trained.centre, mask)[0, : request.frames].numpy()
-    return joints_from_features(features * std + mean)
+    return layout_of(len(mean)).to_joints(features * std + mean)

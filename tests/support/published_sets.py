@@ -1,4 +1,4 @@
-"""Made folders of exactly the layouts in which BONES-SEED and AMASS are published."""
+"""Made folders of exactly the layouts in which HumanML3D, KIT-ML, BONES-SEED and AMASS are published."""
 
 from __future__ import annotations
 
@@ -22,6 +22,29 @@ FINGERS = {"Thumb": ("1", "2", "3", "End")} | dict.fromkeys(
 )
 CAPTION_COLUMNS = (*(f"content_natural_desc_{n}" for n in range(1, 5)), "content_short_description",
                    "content_short_description_2", "content_technical_description")  # fmt: skip
+
+LINES = """a person walks forward#a/DET person/NOUN walk/VERB forward/ADV#0.0#0.0
+someone walks ahead.#someone/PRON walk/VERB ahead/ADV#nan#nan
+then the person turns#then/ADV the/DET person/NOUN turn/VERB#2.0#5.0
+a figure turns#a/DET figure/NOUN turn/VERB#2.0#5.0
+too short to tell#too/ADV short/ADJ#0.0#0.5
+"""
+
+
+def write_guo_set(folder: Path, motions: dict[str, np.ndarray], vectors: dict[str, np.ndarray]) -> Path:
+    """Write HumanML3D or KIT-ML as published; the last two names select and test, the others train."""
+    for name in ("new_joints", "new_joint_vecs", "texts"):
+        (folder / name).mkdir(parents=True)
+    for name, array in motions.items():
+        np.save(folder / "new_joints" / f"{name}.npy", array)
+    for name, array in vectors.items():
+        np.save(folder / "new_joint_vecs" / f"{name}.npy", array)
+    names = sorted(motions.keys() | vectors.keys())
+    for name in names:
+        (folder / "texts" / f"{name}.txt").write_text(LINES)
+    for split, members in zip(("train", "val", "test"), (names[:-2], names[-2:-1], names[-1:]), strict=True):
+        (folder / f"{split}.txt").write_text("\n".join(members) + "\n")
+    return folder
 
 
 def soma_tree() -> list[tuple[str, str]]:

@@ -26,9 +26,9 @@ def write_walks(folder: Path) -> None:
     write_data(folder, clips, 20)
 
 
-def run_stage(module: object, folder: Path, *more: str) -> None:
+def run_stage(module: object, folder: Path, *more: str, preset: str = "tiny") -> None:
     """Run one command of training on the data and the run in `folder`."""
-    words = ["--data", str(folder / "data"), "--run", str(folder / "run"), "--preset", "tiny", "--threads", "1"]
+    words = ["--data", str(folder / "data"), "--run", str(folder / "run"), "--preset", preset, "--threads", "1"]
     flags = ["--enable_progress_bar", "0", "--accelerator", "cpu"]
     module.main([*words, *more, *flags])  # type: ignore[attr-defined]
 

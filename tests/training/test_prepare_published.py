@@ -11,42 +11,21 @@ import pytest
 pytest.importorskip("tqdm")
 
 from kinegraph.motion.humanml3d import humanml3d_from_joints, joints_from_humanml3d
+from kinegraph.motion.kit_ml import LEG_METRES, SOURCES
 from kinegraph.motion.skeleton import JOINT_INDEX, canonicalise
 from kinegraph_training.data.clips import read_split
 from kinegraph_training.data.common_skeleton import BONE_LENGTHS
-from kinegraph_training.data.humanml3d_reader import _KIT, HUMANML3D, from_kit, read_stretches
+from kinegraph_training.data.humanml3d_reader import HUMANML3D, from_kit, read_stretches
 from kinegraph_training.prepare import main
 from support.motions import walk
-
-LINES = """a person walks forward#a/DET person/NOUN walk/VERB forward/ADV#0.0#0.0
-someone walks ahead.#someone/PRON walk/VERB ahead/ADV#nan#nan
-then the person turns#then/ADV the/DET person/NOUN turn/VERB#2.0#5.0
-a figure turns#a/DET figure/NOUN turn/VERB#2.0#5.0
-too short to tell#too/ADV short/ADJ#0.0#0.5
-"""
-
-
-def write_set(folder: Path, motions: dict[str, np.ndarray], vectors: dict[str, np.ndarray]) -> Path:
-    """Write the folders and lists as published; the first name trains, the others select and test."""
-    for name in ("new_joints", "new_joint_vecs", "texts"):
-        (folder / name).mkdir(parents=True)
-    for name, array in motions.items():
-        np.save(folder / "new_joints" / f"{name}.npy", array)
-    for name, array in vectors.items():
-        np.save(folder / "new_joint_vecs" / f"{name}.npy", array)
-    names = sorted(motions.keys() | vectors.keys())
-    for name in names:
-        (folder / "texts" / f"{name}.txt").write_text(LINES)
-    for split, members in zip(("train", "val", "test"), (names[:-2], names[-2:-1], names[-1:]), strict=True):
-        (folder / f"{split}.txt").write_text("\n".join(members) + "\n")
-    return folder
+from support.published_sets import write_guo_set
 
 
 @pytest.fixture
 def humanml3d(tmp_path: Path) -> Path:
     clips = {f"00000{index}": walk(120, turning=0.01 * index) for index in range(3)}
     vectors = {"M000001": humanml3d_from_joints(walk(120, turning=0.02))}
-    return write_set(tmp_path / "HumanML3D", clips, vectors)
+    return write_guo_set(tmp_path / "HumanML3D", clips, vectors)
 
 
 def run(*arguments: object) -> int:
@@ -131,7 +110,7 @@ def as_kit(joints: np.ndarray, unit: float) -> np.ndarray:
     """The joints of our body that KIT-ML has too, in other units; its others stand at their neighbours."""
     kit = np.zeros((len(joints), 21, 3), dtype=np.float32)
     kit[:, 14], kit[:, 19] = joints[:, JOINT_INDEX["right_foot"]], joints[:, JOINT_INDEX["left_foot"]]
-    for name, sources in _KIT.items():
+    for name, sources in SOURCES.items():
         if len(sources) == 1:
             kit[:, sources[0]] = joints[:, JOINT_INDEX[name]]
     return kit * unit
@@ -142,6 +121,7 @@ def test_kit_comes_back_in_metres_at_our_rate() -> None:
     ours = from_kit(as_kit(joints, 400.0))
     assert ours.shape == (160, 22, 3)
     leg = [JOINT_INDEX[name] for name in ("right_hip", "right_knee", "right_ankle")]
+    assert pytest.approx(float(BONE_LENGTHS[leg[1] - 1] + BONE_LENGTHS[leg[2] - 1])) == LEG_METRES
     length = sum(np.linalg.norm(ours[0, a] - ours[0, b]) for a, b in pairwise(leg))
     assert length == pytest.approx(float(BONE_LENGTHS[leg[1] - 1] + BONE_LENGTHS[leg[2] - 1]), rel=1e-3)
     # frames whose time is in both rates: every fifth of KIT-ML's is every eighth of ours
@@ -154,7 +134,7 @@ def test_kit_comes_back_in_metres_at_our_rate() -> None:
 def test_a_folder_of_kit(tmp_path: Path) -> None:
     motions = {f"0000{index}": as_kit(walk(60, turning=0.01 * index), 400.0) for index in range(3)}
     out = tmp_path / "out"
-    assert run("--kit", write_set(tmp_path / "KIT-ML", motions, {}), "--out", out) == 0
+    assert run("--kit", write_guo_set(tmp_path / "KIT-ML", motions, {}), "--out", out) == 0
     (whole, *_) = read_split(out, "train")
     assert len(whole.joints) == 96
     assert HUMANML3D.shortest == 40

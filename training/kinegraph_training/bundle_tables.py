@@ -7,6 +7,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
+from itertools import islice
 from pathlib import Path
 
 import numpy as np
@@ -14,9 +15,12 @@ from numpy.typing import NDArray
 
 from kinegraph.arrays import FloatArray
 from kinegraph.conditioning import GraphArrays, duration_inputs
+from kinegraph.errors import InvalidInputError
 from kinegraph.motion.skeleton import bone_lengths
 
 FILE = "tables.npz"
+BLOCK = 100_000
+"""Samples of the duration fit that are in memory at once."""
 SAME_BODY = 1e-3
 """Standard deviation in metres up to which the bones of several clips count as those of one body."""
 RIDGE_PENALTY = 10.0
@@ -47,13 +51,17 @@ def fit_duration(samples: Iterable[tuple[GraphArrays, int]]) -> NDArray[np.float
     Returns:
         (1, D + 3) weights.
     """
-    rows, targets = [], []
-    for graph, frames in samples:
-        rows.append(duration_inputs(graph))
-        targets.append(np.log(frames))
-    design = np.stack(rows)
-    gram = design.T @ design + RIDGE_PENALTY * np.eye(design.shape[1])
-    return np.linalg.solve(gram, design.T @ np.array(targets))[None].astype(np.float32)
+    gram, moments = None, None
+    remaining = iter(samples)
+    while block := list(islice(remaining, BLOCK)):
+        design = np.stack([duration_inputs(graph) for graph, _ in block])
+        targets = np.log([frames for _, frames in block])
+        first = gram is None
+        gram = design.T @ design if first else gram + design.T @ design
+        moments = design.T @ targets if first else moments + design.T @ targets
+    if gram is None or moments is None:
+        raise InvalidInputError("there is no caption to fit lengths to")
+    return np.linalg.solve(gram + RIDGE_PENALTY * np.eye(len(gram)), moments)[None].astype(np.float32)
 
 
 def write_tables(run: Path, tables: Mapping[str, FloatArray]) -> None:

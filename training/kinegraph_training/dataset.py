@@ -5,15 +5,19 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from enum import IntEnum
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from kinegraph.arrays import FloatArray
 from kinegraph.errors import InvalidInputError
-from kinegraph.motion.features import features_from_joints, normalisation
+from kinegraph.motion.features import normalisation
 from kinegraph_training.config import DataConfig
-from kinegraph_training.data.clips import MotionClip, mirrored_clip, read_split
+from kinegraph_training.data.clips import MotionClip, StoredClips, is_sharded, mirrored_clip, read_split
+from kinegraph_training.layouts import JOINTS_137, FeatureLayout, layout_of, measure_normalisation
+from kinegraph_training.stored_features import StoredFeatures
 from kinegraph_training.synthetic.caption_grammar import PHRASES, concept_caption, step_count_captions
 from kinegraph_training.synthetic.compositions import HeldOut, make_sequences, make_splices
 from kinegraph_training.synthetic.excerpts import (
@@ -49,20 +53,36 @@ class SeedStream(IntEnum):
 
 @dataclass(frozen=True)
 class Dataset:
-    """Clips with their group-normalised features."""
+    """Clips with their group-normalised features: in memory, or in shards (`StoredClips`, `StoredFeatures`)."""
 
-    clips: list[MotionClip]
-    features: list[FloatArray]
-    """Per clip (frames, 137)."""
+    clips: Sequence[MotionClip]
+    features: Sequence[FloatArray]
+    """Per clip (frames, width)."""
     mean: FloatArray
-    """(137,) of the normalisation."""
+    """(width,) of the normalisation."""
     std: FloatArray
-    """(137,) of the normalisation."""
+    """(width,) of the normalisation."""
+
+    @cached_property
+    def lengths(self) -> NDArray[np.int64]:
+        """Rows of each clip's features, (clips,)."""
+        if isinstance(self.features, StoredFeatures):
+            return self.features.lengths
+        return np.array([len(rows) for rows in self.features], dtype=np.int64)
 
     def under(self, mean: FloatArray, std: FloatArray) -> Dataset:
-        """Bring the features under another normalisation, (137,) each."""
+        """Bring the features under another normalisation, (width,) each."""
+        if isinstance(self.features, StoredFeatures):
+            return Dataset(self.clips, self.features.under(mean, std), mean, std)
         gain, shift = self.std / std, (self.mean - mean) / std
         return Dataset(self.clips, [rows * gain + shift for rows in self.features], mean, std)
+
+    def select(self, indices: NDArray[np.int64]) -> Dataset:
+        """Return some of the clips, in the order of `indices`."""
+        if isinstance(self.clips, StoredClips) and isinstance(self.features, StoredFeatures):
+            return Dataset(self.clips.select(indices), self.features.select(indices), self.mean, self.std)
+        clips, features = [self.clips[i] for i in indices], [self.features[i] for i in indices]
+        return Dataset(clips, features, self.mean, self.std)
 
 
 def training_clips(
@@ -152,9 +172,17 @@ def add_step_counts(clips: list[MotionClip], seed: int) -> list[MotionClip]:
 
 
 def training_set(
-    folder: Path, config: DataConfig, held_out: Path | None, more: Sequence[Path] = (), *, paced: bool = False
+    folder: Path,
+    config: DataConfig,
+    held_out: Path | None,
+    more: Sequence[Path] = (),
+    *,
+    paced: bool = False,
+    layout: FeatureLayout = JOINTS_137,
 ) -> Dataset:
     """Make the training clips' features under their own normalisation.
+
+    A folder of shards is used as it is, with the mirror image of every clip, and read while training.
 
     Args:
         folder: see `training_clips`.
@@ -162,24 +190,37 @@ def training_set(
         held_out: see `training_clips`.
         more: see `training_clips`.
         paced: add a copy of every clip at a random speed (`time_scaled_copies`).
+        layout: of the features.
 
     Raises:
-        InvalidInputError: see `training_clips`; or there are no clips.
+        InvalidInputError: see `training_clips`; or there are no clips; or clips are to be added to shards.
     """
+    if is_sharded(folder):
+        if more or paced:
+            raise InvalidInputError(f"{folder} is in shards, which are used as they are: leave out --more and --paced")
+        stored = StoredClips.of_split(folder, "train", shortest=config.min_frames).with_mirror_images()
+        if not stored:
+            raise InvalidInputError(f"{folder} has no clip of {config.min_frames} frames or more in its split train")
+        lazy = StoredFeatures.measured(stored, layout)
+        return Dataset(stored, lazy, lazy.mean, lazy.std)
     clips = training_clips(folder, config, held_out, more)
     if not clips:
         raise InvalidInputError(f"{folder} has no clip of {config.min_frames} frames or more in its split train")
     if paced:
         clips += time_scaled_copies(clips, config, config.seed + SeedStream.TIME_SCALED_COPIES)
-    features = [features_from_joints(clip.joints) for clip in clips]
-    mean, std = normalisation(features)
+    features = [layout.from_joints(clip.joints) for clip in clips]
+    mean, std = normalisation(features) if layout is JOINTS_137 else measure_normalisation(features, layout)
     return Dataset(clips, [(rows - mean) / std for rows in features], mean, std)
 
 
 def validation_set(folder: Path, split: str, config: DataConfig, mean: FloatArray, std: FloatArray) -> Dataset:
-    """Read another split's captured clips, cut to `max_frames`, under the training normalisation."""
+    """Read another split's captured clips, cut to `max_frames`, under the training normalisation, (width,) each."""
+    layout = layout_of(len(mean))
+    if is_sharded(folder):
+        stored = StoredClips.of_split(folder, split, shortest=config.min_frames)
+        return Dataset(stored, StoredFeatures(stored, layout, mean, std, config.max_frames), mean, std)
     clips = [clip for clip in read_split(folder, split) if len(clip.joints) >= config.min_frames]
-    features = [(features_from_joints(clip.joints[: config.max_frames]) - mean) / std for clip in clips]
+    features = [(layout.from_joints(clip.joints[: config.max_frames]) - mean) / std for clip in clips]
     return Dataset(clips, [np.asarray(rows, dtype=np.float32) for rows in features], mean, std)
 
 
@@ -188,9 +229,7 @@ def drop_long_clips(dataset: Dataset, max_frames: int) -> Dataset:
 
     They cannot be cut for the denoisers, as a caption describes the whole of its clip.
     """
-    indices = [i for i, rows in enumerate(dataset.features) if len(rows) <= max_frames]
-    clips, features = [dataset.clips[i] for i in indices], [dataset.features[i] for i in indices]
-    return Dataset(clips, features, dataset.mean, dataset.std)
+    return dataset.select(np.flatnonzero(dataset.lengths <= max_frames))
 
 
 def cut_long_clips(dataset: Dataset, max_frames: int) -> Dataset:

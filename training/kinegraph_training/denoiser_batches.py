@@ -136,7 +136,7 @@ class DenoiserBatches:
         rows = torch.tensor(indices)
         latents = {level: posterior.sample(rows, self.generator) for level, posterior in self.latents.items()}
         coarse = {level: self._add_noise(latents[above]) for above, level in pairwise(latents)}
-        frames = torch.tensor([len(self.dataset.features[index]) for index in indices])
+        frames = torch.tensor([int(self.dataset.lengths[index]) for index in indices])
         batch = DenoiserBatch(graph, bias, latents, coarse, torch.zeros(len(indices)), frames)
         return self._drop_conditions(batch) if self.augment else batch
 

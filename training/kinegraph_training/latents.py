@@ -68,10 +68,8 @@ def encode_clips(trained: TrainedVae, dataset: Dataset) -> tuple[torch.Tensor, t
 
     Features are brought under the autoencoder's own normalisation, as the diffusion stage may train on other clips.
     """
-    gain = dataset.std / trained.std
-    shift = (dataset.mean - trained.mean) / trained.std
-    features = [rows * gain + shift for rows in dataset.features]
-    order = np.argsort([len(rows) for rows in features], kind="stable")
+    features = dataset.under(trained.mean, trained.std).features
+    order = np.argsort(dataset.lengths, kind="stable")
     config = trained.vae.config
     mean = torch.zeros(len(features), config.tokens, config.latent_width)
     deviation = torch.zeros_like(mean)
@@ -98,7 +96,7 @@ def encode_levels(run: Path, dataset: Dataset, cache: Path) -> dict[str, Latents
         cache: .pt file; read back while it belongs to these checkpoints and to clips of these lengths, else written.
     """
     checkpoints = {level: run / f"vae_{level}" / "last.ckpt" for level in LEVELS}
-    stamp = [*map(len, dataset.features), *(path.stat().st_mtime_ns for path in checkpoints.values())]
+    stamp = [*dataset.lengths.tolist(), *(path.stat().st_mtime_ns for path in checkpoints.values())]
     if cache.is_file():
         stored = read_checkpoint(cache)
         if stored["stamp"] == stamp:

@@ -19,6 +19,7 @@ from torch import Tensor
 from kinegraph.motion import features as layout
 from kinegraph.motion.skeleton import FEET, JOINTS, PARENTS
 from kinegraph_training.latents import TrainedVae
+from kinegraph_training.layouts import layout_of
 from kinegraph_training.models.transformer import smooth_l1
 
 PATH_WINDOWS = (8, 16)
@@ -61,7 +62,7 @@ def local_joints(features: Tensor) -> Tensor:
     """Read joints in the body's facing frame, pelvis on the vertical axis, from features.
 
     Args:
-        features: (b, l, 137), not normalised.
+        features: (b, l, width) of any layout, not normalised.
 
     Returns:
         (b, l, 22, 3) metres.
@@ -79,11 +80,27 @@ def rotate_about_y(vectors: Tensor, angle: Tensor) -> tuple[Tensor, Tensor]:
     return cos * x + sin * z, cos * z - sin * x
 
 
+def root_steps(features: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """Read how the root turns and moves in each frame, in the facing frame at the start of it.
+
+    Args:
+        features: (..., width) of any layout, not normalised.
+
+    Returns:
+        Turn to the left in radians, x and z in metres, (...,) each.
+    """
+    form = layout_of(features.shape[-1])
+    turn = features[..., 0] * form.turn
+    velocity = features[..., layout.ROOT_VELOCITY]
+    x, z = rotate_about_y(velocity, turn) if form.moves_after_turning else velocity.unbind(dim=-1)
+    return turn, x, z
+
+
 def integrate_path(features: Tensor, window: int) -> Tensor:
     """Integrate heading and place over consecutive windows, each starting at zero.
 
     Args:
-        features: (b, l, 137), not normalised.
+        features: (b, l, width) of any layout, not normalised.
         window: frames; one window of l frames where the clip is shorter.
 
     Returns:
@@ -93,9 +110,10 @@ def integrate_path(features: Tensor, window: int) -> Tensor:
     count = max(frames // window, 1)
     size = min(window, frames)
     rows = features[:, : count * size].reshape(batch * count, size, -1)
-    heading = torch.cumsum(rows[..., 0], dim=1)
-    # Velocities are in the facing frame at the start of their frame, before its rotation.
-    x, z = rotate_about_y(rows[..., layout.ROOT_VELOCITY], heading - rows[..., 0])
+    turn, *step = root_steps(rows)
+    heading = torch.cumsum(turn, dim=1)
+    # steps are in the facing frame at the start of their frame, before its rotation
+    x, z = rotate_about_y(torch.stack(step, dim=-1), heading - turn)
     path = torch.stack([heading, torch.cumsum(x, dim=1), torch.cumsum(z, dim=1)], dim=-1)
     return path.reshape(batch, count * size, 3)
 
@@ -121,17 +139,17 @@ def foot_displacement(features: Tensor, joints: Tensor) -> Tensor:
     """Compute how far the four foot joints move over the floor per frame, from pose and root together.
 
     Args:
-        features: (b, l, 137), not normalised.
+        features: (b, l, width) of any layout, not normalised.
         joints: (b, l, 22, 3) of `local_joints`.
 
     Returns:
         (b, l-1, 4, 3) metres in the facing frame of the earlier frame.
     """
     feet = joints[:, :, list(FEET)]
-    root = features[:, :-1, layout.ROOT_VELOCITY]
+    turn, root_x, root_z = root_steps(features[:, :-1])
     # The next frame's feet, brought into this frame: rotated by the root's turn, then moved by its velocity.
-    x, z = rotate_about_y(feet[:, 1:, :, [0, 2]], features[:, :-1, 0][..., None])
-    after = torch.stack([x + root[..., None, 0], feet[:, 1:, :, 1], z + root[..., None, 1]], dim=-1)
+    x, z = rotate_about_y(feet[:, 1:, :, [0, 2]], turn[..., None])
+    after = torch.stack([x + root_x[..., None], feet[:, 1:, :, 1], z + root_z[..., None]], dim=-1)
     return after - feet[:, :-1]
 
 
@@ -147,11 +165,11 @@ def reconstruction_terms(
     """Compute the weighted terms of the reconstruction loss by name; the loss is their sum.
 
     Args:
-        predicted: (b, l, 137), group-normalised.
+        predicted: (b, l, width) of any layout, group-normalised.
         target: as predicted.
         mask: (b, l).
-        std: (137,) of the normalisation.
-        mean: (137,) of the normalisation.
+        std: (width,) of the normalisation.
+        mean: (width,) of the normalisation.
         weights: of the terms.
     """
     emphasis = torch.ones_like(std)

@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinegraph.arrays import FloatArray
-from kinegraph.motion.features import joints_from_features
 from kinegraph.motion.skeleton import FEET, JOINT_INDEX, bone_lengths
+from kinegraph_training.layouts import layout_of
 
 Embeddings = NDArray[np.floating]
 
@@ -166,7 +166,7 @@ def reconstruction_scores(predicted: FloatArray, target: FloatArray) -> dict[str
     0 if none are; benchmarks measure `foot_skate`, of toes that are low in both frames.
 
     Args:
-        predicted: features (frames, 137), not normalised.
+        predicted: features (frames, width) of any layout, not normalised.
         target: as predicted.
 
     Returns:
@@ -176,8 +176,9 @@ def reconstruction_scores(predicted: FloatArray, target: FloatArray) -> dict[str
     in_place = [rows.copy() for rows in (predicted, target)]
     for rows in in_place:
         rows[:, :3] = 0.0
-    local = [joints_from_features(rows) for rows in in_place]
-    world = [joints_from_features(rows) for rows in (predicted, target)]
+    to_joints = layout_of(predicted.shape[1]).to_joints
+    local = [to_joints(rows) for rows in in_place]
+    world = [to_joints(rows) for rows in (predicted, target)]
     feet = list(FEET)
     speed = np.linalg.norm(np.diff(world[0][:, feet][..., [0, 2]], axis=0), axis=-1) * FPS
     low = world[0][1:, feet, 1] < GROUND_HEIGHT

@@ -25,7 +25,7 @@ import numpy as np
 from tqdm import tqdm
 
 from kinegraph.arrays import FloatArray
-from kinegraph.errors import InvalidInputError, KinegraphError, OutputError
+from kinegraph.errors import InvalidInputError, KinegraphError
 from kinegraph.files import check_target
 from kinegraph.motion.skeleton import canonicalise
 from kinegraph_training import prepare_published
@@ -35,6 +35,7 @@ from kinegraph_training.data.folder import SPLITS, PreparedClip, assign_splits, 
 from kinegraph_training.data.motion_files import find_takes
 from kinegraph_training.data.recording import Take
 from kinegraph_training.data.retargeting import Source, read_map
+from kinegraph_training.data.shards import check_out
 from kinegraph_training.data.understanding import Stated, Understood, understand
 from kinegraph_training.data.windows import cut_windows, holds_at_any_moment
 
@@ -126,7 +127,7 @@ def check_targets(options: PrepareOptions, out: Path | None, preview: Path | Non
     """
     _check_options(options)
     if out is not None:
-        _check_out(out, force)
+        check_out(out, force)
     if preview is not None:
         check_target(preview, force, (".png",))
 
@@ -306,14 +307,6 @@ def _check_options(options: PrepareOptions) -> None:
         raise InvalidInputError(
             f"--val {options.val} and --test {options.test} must be 0 or more and leave something to train on"
         )
-
-
-def _check_out(out: Path, force: bool) -> None:
-    if out.exists() and not out.is_dir():
-        raise OutputError(f"{out} is a file; --out must be a folder")
-    taken = sorted(path.name for path in out.glob("*") if path.suffix in (".npz", ".jsonl")) if out.is_dir() else []
-    if taken and not force:
-        raise OutputError(f"{out} holds {', '.join(taken)}; choose another folder or replace them with --force")
 
 
 def _parser() -> argparse.ArgumentParser:

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import argparse
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -37,6 +37,7 @@ from kinegraph_training.data.shown_captions import write_shown_captions
 from kinegraph_training.dataset import Dataset, drop_long_clips, training_set, validation_set
 from kinegraph_training.denoiser_batches import DenoiserBatch, DenoiserBatches
 from kinegraph_training.latents import Latents, encode_clips, encode_levels, read_vae
+from kinegraph_training.layouts import FeatureLayout, layout_of
 from kinegraph_training.losses import SPECTRAL_TIMESTEPS, SPECTRAL_WEIGHT, SpectralMotionLoss, denoise
 from kinegraph_training.models.denoiser import DenoiserConfig, LatentShape
 from kinegraph_training.models.hierarchy import Hierarchy
@@ -205,9 +206,9 @@ class EncodedClips:
     """Under the standardisation of training."""
 
 
-def load_clips(arguments: argparse.Namespace, config: DataConfig) -> Splits:
+def load_clips(arguments: argparse.Namespace, config: DataConfig, layout: FeatureLayout) -> Splits:
     """Load captured and synthetic clips of training, and captured ones of validation."""
-    everything = training_set(arguments.data, config, arguments.held_out, arguments.more)
+    everything = training_set(arguments.data, config, arguments.held_out, arguments.more, layout=layout)
     train = drop_long_clips(everything, config.max_frames)
     dropped = len(everything.clips) - len(train.clips)
     if not train.clips:
@@ -245,9 +246,13 @@ def measure_tables(train: Dataset, graphs: CaptionGraphs | CaptionStates) -> dic
     """Measure the tables of the bundle on the clips of training: the duration model, and the length of the bones."""
     tables = {}
     if isinstance(graphs, CaptionGraphs):
-        usual = [clip for clip in train.clips if not clip.any_length] or train.clips
-        samples = [(graphs.get(caption), len(clip.joints)) for clip in usual for caption in clip.captions]
-        tables[DURATION] = fit_duration(samples)
+        has_usual = any(not clip.any_length for clip in train.clips)
+        tables[DURATION] = fit_duration(
+            (graphs.get(caption), len(clip.joints))
+            for clip in train.clips
+            if not (has_usual and clip.any_length)
+            for caption in clip.captions
+        )
     lengths = common_bone_lengths(clip.joints for clip in train.clips)
     return tables if lengths is None else {**tables, BONE_LENGTHS: lengths}
 
@@ -268,24 +273,25 @@ def encode_latents(clips: Splits, levels: Sequence[str], run: Path) -> EncodedCl
     return EncodedClips(train, val)
 
 
-def sampling_weights(clips: list[MotionClip], config: DataConfig) -> np.ndarray:
+def sampling_weights(clips: Iterable[MotionClip], config: DataConfig) -> np.ndarray:
     """Compute how often each clip is drawn, (clips,), by what made it and by what it shows.
 
     What made a clip has the share of `DataConfig.draws`. Within it, an action in a style has a share by a power of its
     number of clips, and no action has more than `label_cap`: what it has too much is shared by the others.
     """
-    kinds = np.array([clip.made_by for clip in clips])
-    groups = Counter((clip.made_by, clip.action, clip.style) for clip in clips)
+    told = [(clip.made_by, clip.action, clip.style, clip.action or clip.id) for clip in clips]
+    kinds = np.array([made_by for made_by, *_ in told])
+    groups = Counter(group[:3] for group in told)
     power = config.label_power - 1.0
-    weights = np.array([groups[clip.made_by, clip.action, clip.style] ** power for clip in clips])
+    weights = np.array([groups[group[:3]] ** power for group in told])
     often = tuple(config.often)
-    weights *= [config.often_weight if often and clip.action.startswith(often) else 1.0 for clip in clips]
+    weights *= [config.often_weight if often and action.startswith(often) else 1.0 for _, action, *_ in told]
     shares = {kind: config.draws.get(kind, float(np.mean(kinds == kind))) for kind in set(kinds.tolist())}
     shares[""] = max(1.0 - sum(share for kind, share in shares.items() if kind), 0.0)
     for kind, share in shares.items():
         of_kind = kinds == kind
         weights[of_kind] *= share / max(weights[of_kind].sum(), 1e-12)
-    labels, index = np.unique([clip.action or clip.id for clip in clips], return_inverse=True)
+    labels, index = np.unique([label for *_, label in told], return_inverse=True)
     for _ in range(10):  # capping one action lifts the others, which may pass the cap then
         totals = np.bincount(index, weights, len(labels))
         weights *= np.minimum(1.0, config.label_cap / totals.clip(min=1e-12))[index]
@@ -331,7 +337,7 @@ def main(argv: list[str] | None = None) -> None:
         torch.set_num_threads(arguments.threads)
     L.seed_everything(preset.seed)
 
-    clips = load_clips(arguments, preset.data)
+    clips = load_clips(arguments, preset.data, layout_of(preset.vae[LEVELS[-1]].features))
     captions = encode_captions(
         clips, preset.denoiser.condition, arguments.assets, run, verb_masking=preset.data.verb_masking
     )

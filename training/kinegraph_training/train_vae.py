@@ -24,6 +24,7 @@ from kinegraph.errors import InvalidInputError
 from kinegraph_training.checkpoints import fit
 from kinegraph_training.config import OptimiserConfig, Preset, read_preset
 from kinegraph_training.dataset import Dataset, training_set, validation_set
+from kinegraph_training.layouts import layout_of
 from kinegraph_training.losses import (
     PATH_WINDOWS,
     SPECTRUM_WINDOWS,
@@ -129,7 +130,8 @@ class VaeModule(L.LightningModule):
 def make_loaders(train: Dataset, val: Dataset, preset: Preset, level: str) -> tuple[DataLoader, DataLoader]:
     """Make batches of training, with random crops, and of validation.
 
-    There are no worker processes: the clips are in memory, and a batch is built in less time than a process switch.
+    There are no worker processes: the clips are in memory or in the cache of the file system, and a batch is built in
+    less time than a process switch.
     """
     data, patch = preset.data, preset.vae[level].frames_per_token
     rng = np.random.Generator(np.random.PCG64(preset.seed))
@@ -140,10 +142,10 @@ def make_loaders(train: Dataset, val: Dataset, preset: Preset, level: str) -> tu
         limits = {"min_frames": data.min_frames, "max_frames": data.max_frames}
         return pad_clips([random_crop(clip, rng, **limits) for clip in clips], multiple)
 
-    lengths = [min(len(rows), data.max_frames) for rows in train.features]
+    lengths = np.minimum(train.lengths, data.max_frames).tolist()
     budget = preset.vae_training[level].batch
     sampler = FrameBudgetSampler(lengths, budget, preset.seed)
-    val_sampler = FrameBudgetSampler([len(rows) for rows in val.features], 4 * budget, preset.seed)
+    val_sampler = FrameBudgetSampler(val.lengths.tolist(), 4 * budget, preset.seed)
     train_indices: Any = range(len(train.features))
     val_indices: Any = range(len(val.features))
     return (
@@ -171,7 +173,10 @@ def main(argv: list[str] | None = None) -> None:
         torch.set_num_threads(arguments.threads)
     L.seed_everything(preset.seed)
     config = preset.vae_training[arguments.level]
-    train = training_set(arguments.data, preset.data, arguments.held_out, arguments.more, paced=arguments.paced)
+    layout = layout_of(preset.vae[arguments.level].features)
+    train = training_set(
+        arguments.data, preset.data, arguments.held_out, arguments.more, paced=arguments.paced, layout=layout
+    )
     module = VaeModule(preset.vae[arguments.level], config, train.mean.tolist(), train.std.tolist())
     if arguments.start_from:
         module.start_from(arguments.start_from)

@@ -194,7 +194,7 @@ def retarget(joints: Floats, target_offsets: Floats, *, heading: Heading) -> Flo
     if target.shape != (JOINTS, 3) or not np.isfinite(target).all():
         allowed = f"finite metres, ({JOINTS}, 3)"
         raise InvalidInputError(f"target_offsets have shape {target.shape}; they must be {allowed}")
-    source_leg, target_leg = _leg_length(_bone_offsets(joints[0])), _leg_length(target)
+    source_leg, target_leg = _leg_length(rest_offsets(joints[0])), _leg_length(target)
     if source_leg == 0 or target_leg == 0:
         raise InvalidInputError("the right leg has no length; retargeting needs thigh and shank on both sides")
     rotations = chain_rotations(joints, heading=heading, smooth=False)
@@ -280,7 +280,7 @@ def _feature_rows(joints: FloatArray, heading: Heading) -> FloatArray:
     return rows.astype(np.float32)
 
 
-def _bone_offsets(pose: Floats) -> Floats:
+def rest_offsets(pose: Floats) -> Floats:
     """Compute the offsets (22, 3) from the parent that a pose (22, 3) has when nothing is rotated."""
     offsets = np.zeros_like(pose)
     for chain in CHAINS:

@@ -8,13 +8,14 @@ included, one caption at a time, so that a model is trained on what it will see 
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass
-from functools import partial
+from functools import cached_property, partial
 from multiprocessing import get_context
 from pathlib import Path
+from typing import BinaryIO
 
 import numpy as np
 import onnxruntime
@@ -32,6 +33,9 @@ from kinegraph.text.tokenizer import CaptionTokenizer
 ASSETS = ("text_encoder.onnx", "tokenizer.json", "parser.bin")
 OPTIONAL_ASSETS = ("arguments.npz",)
 """Weights of `train_parser`; without them the parser goes by rules."""
+
+_SMALL = {"kind": np.int16, "order": np.int16, "owner": np.int16, "relation": np.int8}
+"""Arrays of a graph beside its features, and how they are stored."""
 
 CHUNK = 1000
 """Captions that a process encodes before it reports; fewer are encoded in this process."""
@@ -79,7 +83,10 @@ class CaptionEncoder:
 
 @dataclass(frozen=True)
 class CaptionGraphs:
-    """Graphs of many captions, end to end: caption i owns rows offsets[i]:offsets[i + 1] of the node arrays."""
+    """Graphs of many captions, end to end: caption i owns rows offsets[i]:offsets[i + 1] of the node arrays.
+
+    Features are memory-mapped, 15 kB a caption; all else is small.
+    """
 
     captions: dict[str, int]
     """Index i of each caption."""
@@ -87,28 +94,34 @@ class CaptionGraphs:
     """(captions + 1,)."""
     nodes: NDArray[np.float16]
     """(rows, D) features."""
-    kind: NDArray[np.int64]
+    kind: NDArray[np.int16]
     """(rows,) see `GraphArrays`."""
-    order: NDArray[np.int64]
+    order: NDArray[np.int16]
     """(rows,) see `GraphArrays`."""
-    owner: NDArray[np.int64]
+    owner: NDArray[np.int16]
     """(rows,) see `GraphArrays`."""
-    relation: list[NDArray[np.int64]]
-    """Per caption (N, N)."""
+    relation: NDArray[np.int8]
+    """The (N, N) of each caption, flat and end to end."""
+
+    @cached_property
+    def relation_ends(self) -> NDArray[np.int64]:
+        """Where the relations of each caption end, (captions,)."""
+        return np.cumsum(np.diff(self.offsets) ** 2)
 
     def get(self, caption: str) -> GraphArrays:
         """Return the graph of one caption, with all weights 1."""
         index = self.captions[caption]
         rows = slice(self.offsets[index], self.offsets[index + 1])
         count = self.offsets[index + 1] - self.offsets[index]
+        end = self.relation_ends[index]
         return GraphArrays(
             nodes=self.nodes[rows].astype(np.float32),
-            relation=self.relation[index],
+            relation=self.relation[end - count**2 : end].astype(np.int64).reshape(count, count),
             edge_weight=np.ones((count, count), dtype=np.float32),
-            kind=self.kind[rows],
-            order=self.order[rows],
+            kind=self.kind[rows].astype(np.int64),
+            order=self.order[rows].astype(np.int64),
             path_weight=np.ones(count, dtype=np.float32),
-            owner=self.owner[rows],
+            owner=self.owner[rows].astype(np.int64),
         )
 
 
@@ -125,7 +138,8 @@ def encode_graphs(captions: Sequence[str], assets: Path, cache: Path, *, verbs_m
     Args:
         captions: may repeat.
         assets: folder of the text files.
-        cache: .npz file; captions that it holds from the same assets are read back. Written if any were missing.
+        cache: .npz file; captions that it holds from the same assets are read back. Written if any were missing, and
+            a file beside it (`.nodes`) with the features, which are never all in memory.
         verbs_masked: encode each graph as `mask_verbs` leaves it; it is found under the caption as it was.
     """
     distinct = sorted(set(captions))
@@ -133,29 +147,45 @@ def encode_graphs(captions: Sequence[str], assets: Path, cache: Path, *, verbs_m
     cached = _read_cache(cache, origin)
     if cached is not None and list(cached.captions) == distinct:
         return cached
-    encoded = {caption: cached.get(caption) for caption in distinct if caption in cached.captions} if cached else {}
-    missing = [caption for caption in distinct if caption not in encoded]
+    known = cached.captions if cached is not None else {}
+    fresh = _encode_missing([caption for caption in distinct if caption not in known], assets, verbs_masked)
+    cache.parent.mkdir(parents=True, exist_ok=True)
+    with nodes_file(cache).with_suffix(".part").open("wb") as nodes:
+        graphs = (cached.get(text) if cached is not None and text in known else next(fresh) for text in distinct)
+        packed = _pack(graphs, nodes)
+    nodes_file(cache).with_suffix(".part").replace(nodes_file(cache))
+    with cache.open("wb") as file:
+        np.savez(file, origin=np.array(origin), captions=np.array(distinct), **packed)
+    return _read_cache(cache, origin) or cached_graphs({"captions": np.array(distinct), **packed}, np.zeros((0, 0)))
+
+
+def nodes_file(cache: Path) -> Path:
+    """Name the file of the features that belong to a cache."""
+    return cache.with_suffix(".nodes")
+
+
+def _encode_missing(missing: Sequence[str], assets: Path, verbs_masked: bool) -> Iterator[GraphArrays]:
+    """Encode captions in their order, by a process for each core if there are many."""
     chunks = [missing[start : start + CHUNK] for start in range(0, len(missing), CHUNK)]
     encode = partial(_encode_chunk, assets, verbs_masked)
     with _process_pool(len(chunks)) as pool, tqdm(desc="captions", unit="caption", total=len(missing)) as progress:
-        for chunk, graphs in zip(chunks, pool.map(encode, chunks) if pool else map(encode, chunks), strict=True):
-            encoded.update(zip(chunk, graphs, strict=True))
-            progress.update(len(chunk))
-    ordered = [encoded[caption] for caption in distinct]
-    packed = {
-        "origin": np.array(origin),
-        "captions": np.array(distinct),
-        "offsets": np.cumsum([0] + [len(graph.kind) for graph in ordered]),
-        "nodes": np.concatenate([graph.nodes for graph in ordered]).astype(np.float16),
-        "kind": np.concatenate([graph.kind for graph in ordered]),
-        "order": np.concatenate([graph.order for graph in ordered]),
-        "owner": np.concatenate([graph.owner for graph in ordered]),
-        "relation": np.concatenate([graph.relation.ravel() for graph in ordered]).astype(np.int8),
-    }
-    cache.parent.mkdir(parents=True, exist_ok=True)
-    with cache.open("wb") as file:
-        np.savez(file, **packed)
-    return _unpack(packed)
+        for graphs in pool.map(encode, chunks) if pool else map(encode, chunks):
+            yield from graphs
+            progress.update(len(graphs))
+
+
+def _pack(graphs: Iterable[GraphArrays], nodes: BinaryIO) -> dict[str, np.ndarray]:
+    """Write the features of graphs to a file, one after another; returns the small arrays of all of them."""
+    sizes, width = [0], 0
+    flat = {name: bytearray() for name in _SMALL}
+    for graph in graphs:
+        nodes.write(graph.nodes.astype(np.float16).tobytes())
+        sizes.append(len(graph.kind))
+        width = graph.nodes.shape[1]
+        for name, kind in _SMALL.items():
+            flat[name] += getattr(graph, name).astype(kind).tobytes()
+    arrays = {name: np.frombuffer(bytes(flat[name]), dtype=kind) for name, kind in _SMALL.items()}
+    return {"offsets": np.cumsum(sizes), "width": np.array(width), **arrays}
 
 
 def _read_cache(cache: Path, origin: str) -> CaptionGraphs | None:
@@ -163,8 +193,16 @@ def _read_cache(cache: Path, origin: str) -> CaptionGraphs | None:
     if not cache.is_file():
         return None
     with np.load(cache, allow_pickle=False) as stored:
-        known = {"origin", "owner"} <= set(stored) and str(stored["origin"]) == origin
-        return _unpack(dict(stored)) if known else None
+        if not {"origin", "owner"} <= set(stored) or str(stored["origin"]) != origin:
+            return None
+        arrays = dict(stored)
+    if "nodes" in arrays:  # of 0.7.0 and before
+        return cached_graphs(arrays, arrays["nodes"])
+    shape = (int(arrays["offsets"][-1]), int(arrays["width"]))
+    path = nodes_file(cache)
+    if not shape[0] or not path.is_file() or path.stat().st_size != 2 * shape[0] * shape[1]:
+        return None
+    return cached_graphs(arrays, np.memmap(path, dtype=np.float16, mode="r", shape=shape))
 
 
 def _encode_chunk(assets: Path, verbs_masked: bool, captions: Sequence[str]) -> list[GraphArrays]:
@@ -185,20 +223,11 @@ def _process_pool(chunks: int) -> Iterator[ProcessPoolExecutor | None]:
         yield pool
 
 
-def _unpack(packed: dict[str, np.ndarray]) -> CaptionGraphs:
-    """Make graphs of the arrays of a cache."""
-    offsets = packed["offsets"].astype(np.int64)
-    sizes = np.diff(offsets)
-    relations = np.split(packed["relation"].astype(np.int64), np.cumsum(sizes**2)[:-1])
-    return CaptionGraphs(
-        captions={str(caption): index for index, caption in enumerate(packed["captions"])},
-        offsets=offsets,
-        nodes=packed["nodes"],
-        kind=packed["kind"].astype(np.int64),
-        order=packed["order"].astype(np.int64),
-        owner=packed["owner"].astype(np.int64),
-        relation=[flat.reshape(size, size) for flat, size in zip(relations, sizes, strict=True)],
-    )
+def cached_graphs(arrays: Mapping[str, np.ndarray], nodes: NDArray[np.float16]) -> CaptionGraphs:
+    """Make graphs of the small arrays of a cache, and of the features (rows, D)."""
+    small = {name: arrays[name].astype(kind, copy=False) for name, kind in _SMALL.items()}
+    captions = {str(caption): index for index, caption in enumerate(arrays["captions"])}
+    return CaptionGraphs(captions, arrays["offsets"].astype(np.int64), nodes, **small)
 
 
 class CaptionStates:

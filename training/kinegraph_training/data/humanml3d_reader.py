@@ -24,10 +24,11 @@ import numpy as np
 from kinegraph.arrays import FloatArray
 from kinegraph.errors import InvalidInputError
 from kinegraph.limits import MAX_TEXT
+from kinegraph.motion import kit_ml
 from kinegraph.motion.humanml3d import joints_from_humanml3d
+from kinegraph.motion.kit_ml import KIT_JOINTS, from_kit_joints
 from kinegraph.motion.resampling import resample
-from kinegraph.motion.skeleton import JOINT_INDEX, JOINTS, canonicalise
-from kinegraph_training.data.common_skeleton import BONE_LENGTHS
+from kinegraph.motion.skeleton import JOINTS, canonicalise
 from kinegraph_training.data.folder import SPLITS, PreparedClip
 from kinegraph_training.data.timeline import Stretch, captions_within
 
@@ -35,15 +36,6 @@ FPS: Final = 20.0
 """Of prepared clips."""
 LONGEST: Final = 10.0
 """Seconds; the published code leaves out clips of ten seconds and more."""
-_LEG: Final = ("right_knee", "right_ankle")
-_KIT: Final = {
-    "pelvis": (0,), "spine1": (1,), "spine2": (2,), "spine3": (2, 3), "neck": (3,), "head": (4,),
-    "left_hip": (16,), "left_knee": (17,), "left_ankle": (18,), "left_foot": (20,),
-    "right_hip": (11,), "right_knee": (12,), "right_ankle": (13,), "right_foot": (15,),
-    "left_collar": (3, 8), "left_shoulder": (8,), "left_elbow": (9,), "left_wrist": (10,),
-    "right_collar": (3, 5), "right_shoulder": (5,), "right_elbow": (6,), "right_wrist": (7,),
-}  # fmt: skip
-"""Our joint -> joints of KIT-ML whose middle it is."""
 
 
 @dataclass(frozen=True)
@@ -64,17 +56,11 @@ class PublishedSet:
 
 def from_kit(joints: FloatArray) -> FloatArray:
     """Map joints of KIT-ML (frames, 21, 3) to ours (frames, 22, 3) in metres at `FPS`."""
-    ours = np.stack([joints[:, _KIT[name]].mean(axis=1) for name in JOINT_INDEX], axis=1)
-    hip, knee, ankle = (ours[:, JOINT_INDEX[name]] for name in ("right_hip", *_LEG))
-    leg = float((np.linalg.norm(knee - hip, axis=-1) + np.linalg.norm(ankle - knee, axis=-1)).mean())
-    if not leg > 0:
-        raise InvalidInputError("the right leg has no length")
-    metres = float(sum(BONE_LENGTHS[JOINT_INDEX[name] - 1] for name in _LEG)) / leg
-    return resample((ours * metres).astype(np.float32), KIT.fps, FPS)
+    return resample(from_kit_joints(joints), KIT.fps, FPS)
 
 
 HUMANML3D: Final = PublishedSet("HumanML3D", "--humanml3d", 263, JOINTS, FPS, 40, lambda joints: joints)
-KIT: Final = PublishedSet("KIT-ML", "--kit", 251, 21, 12.5, 24, from_kit)
+KIT: Final = PublishedSet("KIT-ML", "--kit", kit_ml.WIDTH, KIT_JOINTS, kit_ml.FPS, 24, from_kit)
 SETS: Final[dict[str, PublishedSet]] = {data.option: data for data in (HUMANML3D, KIT)}
 """Option of the command line -> data set."""
 
@@ -120,23 +106,33 @@ def read_stretches(path: Path) -> list[Stretch]:
     for number, line in enumerate(lines, start=1):
         if not line.strip():
             continue
-        fields = line.split("#")
-        if len(fields) != 4:
-            raise InvalidInputError(f"{path}, line {number}: {len(fields) - 1} '#' instead of 3")
-        caption = " ".join(fields[0].split())
-        if not any(letter.isalnum() for letter in caption) or len(caption) > MAX_TEXT:
-            raise InvalidInputError(f"{path}, line {number}: a caption has words, and {MAX_TEXT} characters at most")
-        try:
-            # the published files write nan for the whole clip
-            start, end = (0.0 if math.isnan(value := float(field)) else value for field in fields[2:])
-        except ValueError as error:
-            raise InvalidInputError(f"{path}, line {number}: {error}") from error
-        if (start, end) != (0.0, 0.0) and not 0.0 <= start < end < math.inf:
-            raise InvalidInputError(f"{path}, line {number}: it tells of {start:g} to {end:g} seconds")
+        caption, _, start, end = split_line(path, number, line)
         captions.setdefault((start, end), []).append(caption)
     if not captions:
         raise InvalidInputError(f"{path} holds no captions")
     return [Stretch(*times, tuple(dict.fromkeys(texts))) for times, texts in captions.items()]
+
+
+def split_line(path: Path, number: int, line: str) -> tuple[str, str, float, float]:
+    """Split a line of a file of texts; returns caption, tagged words, and start and end in seconds, 0 for the whole.
+
+    Raises:
+        InvalidInputError: the line breaks the format; the message names it.
+    """
+    fields = line.split("#")
+    if len(fields) != 4:
+        raise InvalidInputError(f"{path}, line {number}: {len(fields) - 1} '#' instead of 3")
+    caption = " ".join(fields[0].split())
+    if not any(letter.isalnum() for letter in caption) or len(caption) > MAX_TEXT:
+        raise InvalidInputError(f"{path}, line {number}: a caption has words, and {MAX_TEXT} characters at most")
+    try:
+        # the published files write nan for the whole clip
+        start, end = (0.0 if math.isnan(value := float(field)) else value for field in fields[2:])
+    except ValueError as error:
+        raise InvalidInputError(f"{path}, line {number}: {error}") from error
+    if (start, end) != (0.0, 0.0) and not 0.0 <= start < end < math.inf:
+        raise InvalidInputError(f"{path}, line {number}: it tells of {start:g} to {end:g} seconds")
+    return caption, fields[1], start, end
 
 
 def read_motion(folder: Path, name: str, data: PublishedSet) -> FloatArray:

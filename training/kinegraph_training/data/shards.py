@@ -103,11 +103,13 @@ def write_shards(
 
 
 def check_out(out: Path, force: bool) -> None:
-    """Refuse a folder that holds data, without `force`.
+    """Refuse a file, and without `force` a folder that holds data.
 
     Raises:
         OutputError: see above.
     """
+    if out.exists() and not out.is_dir():
+        raise OutputError(f"{out} is a file; --out must be a folder")
     taken = sorted(path.name for path in out.glob("*") if path.suffix in (".npz", ".jsonl")) if out.is_dir() else []
     if taken and not force:
         raise OutputError(f"{out} holds {', '.join(taken)}; choose another folder or replace them with --force")

@@ -58,8 +58,8 @@ def write_shown_captions(run: Path, clips: Iterable[MotionClip], recorded: Itera
         for clip in clips
     )
     run.mkdir(parents=True, exist_ok=True)
-    text = "".join(json.dumps(row, ensure_ascii=False) + "\n" for row in rows)
-    (run / FILE).write_text(text, encoding="utf-8")
+    with (run / FILE).open("w", encoding="utf-8") as file:
+        file.writelines(json.dumps(row, ensure_ascii=False) + "\n" for row in rows)
 
 
 def read_shown_captions(run: Path) -> list[ShownCaptions]:
