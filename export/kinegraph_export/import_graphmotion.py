@@ -12,15 +12,14 @@ from __future__ import annotations
 import argparse
 import sys
 from pathlib import Path
-from typing import get_args
 
 from kinegraph.bundle.contract import LEVELS, Family
 from kinegraph.bundle.manifest import Manifest
-from kinegraph.errors import KinegraphError
 from kinegraph_export.clip_text_encoder import export_clip, load_clip
 from kinegraph_export.graphs import Precision
 from kinegraph_export.official.bundle import Origin, check_sizes, check_target, read_parser, write_imported
 from kinegraph_export.official.checkpoint import DENOISER_HEADS, VAE_HEADS, graphmotion_models
+from kinegraph_export.official.command import add_arguments, run_import
 from kinegraph_export.official.statistics import read_statistics
 from kinegraph_export.tensor_files import read_tensors
 
@@ -44,7 +43,7 @@ def import_graphmotion(
     Args:
         checkpoint: file with the weights of all stages.
         clip: folder of the text encoder, as Hugging Face has it.
-        stats: folder with Mean.npy and Std.npy of HumanML3D.
+        stats: folder with Mean.npy and Std.npy of the data set: HumanML3D, or KIT-ML.
         out: folder of the bundle.
         precision: of denoisers and text encoder.
         compatibility: "released" runs sentences as the released evaluation does, "trained" as its training does.
@@ -71,24 +70,6 @@ def import_graphmotion(
     return write_imported(out, origin, models, family, assets, statistics, parser_files, precision)
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the options that importers share."""
-    parser.add_argument("--checkpoint", type=Path, required=True, help="file of the published weights")
-    parser.add_argument("--clip", type=Path, required=True, help="folder of openai/clip-vit-large-patch14")
-    parser.add_argument("--stats", type=Path, required=True, help="folder with HumanML3D's Mean.npy and Std.npy")
-    parser.add_argument("--out", type=Path, required=True, help="folder of the bundle")
-    parser.add_argument("--precision", choices=get_args(Precision), default="int8", help="of the denoisers")
-    parser.add_argument("--parser", type=Path, help="bundle whose sentence parser is taken; the default one otherwise")
-
-
-def report(manifest: Manifest, out: Path) -> None:
-    """Print how far the graphs are from the networks, and the size of the bundle."""
-    for name, difference in manifest.parity.items():
-        print(f"{name:24s} {difference:.2e}")
-    size = sum(entry.bytes for entry in manifest.files.values())
-    print(f"{size / 1e6:.1f} MB in {out}", file=sys.stderr)
-
-
 def main(argv: list[str] | None = None) -> int:
     """Run the command line; return the exit status."""
     parser = argparse.ArgumentParser(prog="kinegraph_export.import_graphmotion", description=__doc__.split("\n")[0])
@@ -102,8 +83,8 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--vae-heads", type=int, default=VAE_HEADS, help="attention heads of the autoencoders")
     parser.add_argument("--denoiser-heads", type=int, default=DENOISER_HEADS, help="attention heads of the denoisers")
     options = parser.parse_args(argv)
-    try:
-        manifest = import_graphmotion(
+    return run_import(
+        lambda: import_graphmotion(
             options.checkpoint,
             options.clip,
             options.stats,
@@ -112,12 +93,9 @@ def main(argv: list[str] | None = None) -> int:
             compatibility=options.compatibility,
             parser=options.parser,
             heads=(options.vae_heads, options.denoiser_heads),
-        )
-    except KinegraphError as error:
-        print(f"{type(error).__name__}: {error}", file=sys.stderr)
-        return 2
-    report(manifest, options.out)
-    return 0
+        ),
+        options.out,
+    )
 
 
 if __name__ == "__main__":

@@ -13,12 +13,11 @@ import sys
 from pathlib import Path
 
 from kinegraph.bundle.manifest import Manifest
-from kinegraph.errors import KinegraphError
 from kinegraph_export.clip_text_encoder import export_clip, load_clip
 from kinegraph_export.graphs import Precision
-from kinegraph_export.import_graphmotion import add_arguments, report
 from kinegraph_export.official.bundle import Origin, check_sizes, check_target, read_parser, write_imported
 from kinegraph_export.official.checkpoint import VAE_HEADS, mld_models
+from kinegraph_export.official.command import add_arguments, run_import
 from kinegraph_export.official.statistics import read_statistics
 from kinegraph_export.tensor_files import read_tensors
 
@@ -52,8 +51,8 @@ def main(argv: list[str] | None = None) -> int:
     add_arguments(parser)
     parser.add_argument("--heads", type=int, default=VAE_HEADS, help="attention heads")
     options = parser.parse_args(argv)
-    try:
-        manifest = import_mld(
+    return run_import(
+        lambda: import_mld(
             options.checkpoint,
             options.clip,
             options.stats,
@@ -61,12 +60,9 @@ def main(argv: list[str] | None = None) -> int:
             precision=options.precision,
             parser=options.parser,
             heads=options.heads,
-        )
-    except KinegraphError as error:
-        print(f"{type(error).__name__}: {error}", file=sys.stderr)
-        return 2
-    report(manifest, options.out)
-    return 0
+        ),
+        options.out,
+    )
 
 
 if __name__ == "__main__":

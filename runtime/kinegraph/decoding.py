@@ -16,12 +16,14 @@ from kinegraph.bundle.sessions import Sessions, run_model
 from kinegraph.clip import Clip
 from kinegraph.motion.features import joints_from_features
 from kinegraph.motion.humanml3d import joints_from_humanml3d
+from kinegraph.motion.kit_ml import joints_from_kit
 from kinegraph.motion.postprocess import enforce_bone_lengths, lock_feet
 from kinegraph.options import GenerateOptions
 
 _JOINTS_FROM: Final[Mapping[str, Callable[[FloatArray], FloatArray]]] = {
     "joints-137": joints_from_features,
     "humanml3d-263": joints_from_humanml3d,
+    "kit-251": joints_from_kit,
 }
 
 
@@ -74,6 +76,19 @@ def decode_joints(
     Raises:
         ModelError, NonFiniteError: see `bundle.sessions.run_model`.
     """
+    joints_from = _JOINTS_FROM[manifest.features.layout]
+    motions = [joints_from(rows) for rows in decode_features(decoder, manifest, latents, frames)]
+    return [enforce_bone_lengths(joints, bones) for joints in motions]
+
+
+def decode_features(
+    decoder: onnxruntime.InferenceSession, manifest: Manifest, latents: FloatArray, frames: Sequence[int]
+) -> list[FloatArray]:
+    """Decode latents into features (frames, F) of every sample, not normalised; arguments as for `decode_joints`.
+
+    Raises:
+        ModelError, NonFiniteError: see `bundle.sessions.run_model`.
+    """
     group = manifest.frames.per_token
     longest = -(-max(frames) // group) * group  # rounded up to whole groups of frames
     frame_mask = np.zeros((len(frames), longest), dtype=np.float32)
@@ -83,6 +98,4 @@ def decode_joints(
     (normalised,) = run_model(decoder, ["features"], inputs, "the decoder")
     mean, std = (np.array(part, dtype=np.float32) for part in (manifest.features.mean, manifest.features.std))
     features = normalised * std + mean
-    joints_from = _JOINTS_FROM[manifest.features.layout]
-    motions = [joints_from(rows[:count]) for rows, count in zip(features, frames, strict=True)]
-    return [enforce_bone_lengths(joints, bones) for joints in motions]
+    return [rows[:count] for rows, count in zip(features, frames, strict=True)]

@@ -46,9 +46,9 @@ def graphmotion_tensors(features: int = 263) -> dict[str, Tensor]:
     return _tensors(modules)
 
 
-def mld_tensors() -> dict[str, Tensor]:
-    """A small MLD with random weights under its published names."""
-    vae = OfficialVaeConfig(263, 1, LATENT, 3, HEADS, FEED_FORWARD, 263)
+def mld_tensors(features: int = 263) -> dict[str, Tensor]:
+    """A small MLD with random weights under its published names; it embeds the 251 features of KIT-ML as they are."""
+    vae = OfficialVaeConfig(features, 1, LATENT, 3, HEADS, FEED_FORWARD, features)
     denoiser = OfficialDenoiserConfig(1, LATENT, LATENT, 3, HEADS, FEED_FORWARD, TEXT_WIDTH, False)
     return _tensors({"vae.": OfficialVae(vae), "denoiser.": OfficialDenoiser(denoiser)})
 

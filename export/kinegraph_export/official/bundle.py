@@ -8,6 +8,7 @@ import shutil
 import tempfile
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Final, Literal
 
 import numpy as np
 import onnxruntime
@@ -32,7 +33,7 @@ from kinegraph.bundle.reader import text_files_folder
 from kinegraph.bundle.tables import EMPTY_CAPTION
 from kinegraph.errors import InvalidInputError, OutputError
 from kinegraph.graph import ROLES
-from kinegraph.motion.humanml3d import WIDTH
+from kinegraph.motion import kit_ml
 from kinegraph.motion.skeleton import JOINT_NAMES, PARENTS
 from kinegraph.pipeline import MotionPipeline
 from kinegraph_export.clip_text_encoder import ClipAssets
@@ -43,9 +44,27 @@ from kinegraph_export.official.graphs import export_networks, level_specs
 
 PARSER_FILES = ("parser.bin", "arguments.npz")
 """Taken from another bundle, so that plain sentences work."""
-FRAMES_PER_SECOND = 20.0
-FRAMES = FrameSpec(min=40, max=196, per_token=1)
-"""Lengths of HumanML3D's clips."""
+
+
+@dataclass(frozen=True)
+class DataSet:
+    """What a bundle says of the data that its networks were trained on."""
+
+    name: str
+    layout: Literal["humanml3d-263", "kit-251"]
+    fps: float
+    frames: FrameSpec
+    """Lengths of its clips."""
+    licence: str
+
+
+DATA_SETS: Final = {
+    263: DataSet(
+        "HumanML3D", "humanml3d-263", 20.0, FrameSpec(40, 196, 1), "HumanML3D and AMASS: research, not commercial"
+    ),
+    251: DataSet("KIT-ML", "kit-251", kit_ml.FPS, FrameSpec(24, 196, 1), "KIT-ML: terms of its database"),
+}
+"""Width of the features -> data set."""
 STEPS, GUIDANCE, SECONDS = 50, 7.5, 6.0
 """As published, but for the seconds: the released code takes lengths from the data."""
 
@@ -64,7 +83,7 @@ class Origin:
 
 
 def check_sizes(text_width: int, features: int, clip_width: int) -> None:
-    """Check that the networks fit the text encoder and the body.
+    """Check that the networks fit the text encoder and a body that is known.
 
     Args:
         text_width: of the text features that the networks take.
@@ -79,11 +98,9 @@ def check_sizes(text_width: int, features: int, clip_width: int) -> None:
             f"the checkpoint was trained with a text encoder {text_width} wide, and --clip is {clip_width} wide: take "
             "openai/clip-vit-large-patch14 (768) for the published checkpoints"
         )
-    if features != WIDTH:
-        raise InvalidInputError(
-            f"the checkpoint has {features} features, those of KIT-ML's 21 joints; a bundle has HumanML3D's {WIDTH} "
-            "features of 22 joints: bring the checkpoint of HumanML3D"
-        )
+    if features not in DATA_SETS:
+        known = " or ".join(f"{width} ({data.name})" for width, data in DATA_SETS.items())
+        raise InvalidInputError(f"the checkpoint has {features} features; published ones have {known}")
 
 
 def check_target(out: Path) -> None:
@@ -160,8 +177,10 @@ def build_manifest(
 ) -> Manifest:
     """Build the manifest of an imported bundle from the contents of its files."""
     mean, std = statistics
+    data = DATA_SETS[len(mean)]
+    shortest, longest = data.frames.min / data.fps, data.frames.max / data.fps
     levels = levels_of(family)
-    graphs = {name: data for name, data in files.items() if name.endswith(".onnx")}
+    graphs = {name: content for name, content in files.items() if name.endswith(".onnx")}
     return Manifest(
         format_version=FORMAT_VERSION,
         name=origin.name,
@@ -169,30 +188,33 @@ def build_manifest(
         licence=Licence(
             code=origin.licence,
             weights="those of the checkpoint's authors",
-            data="HumanML3D and AMASS: research, not commercial",
+            data=data.licence,
             text_encoder="MIT (OpenAI CLIP)",
             parser="MIT",
         ),
         provenance={
-            "training_data": "HumanML3D",
+            "training_data": data.name,
             "checkpoint": origin.checkpoint.name,
             "model": origin.model,
             "built_with": f"kinegraph {kinegraph.__version__}, torch {torch.__version__}, onnxruntime "
             f"{onnxruntime.__version__}, Python {platform.python_version()}",
         },
-        scope={"actions": "those of HumanML3D", "length": "2 to 9.8 seconds, which the denoisers do not know"},
+        scope={
+            "actions": f"those of {data.name}",
+            "length": f"{shortest:.1f} to {longest:.1f} seconds, which the denoisers do not know",
+        },
         skeleton=SkeletonSpec(JOINT_NAMES, PARENTS),
-        fps=FRAMES_PER_SECOND,
-        frames=FRAMES,
-        features=FeatureSpec("humanml3d-263", "humanml3d", tuple(map(float, mean)), tuple(map(float, std))),
+        fps=data.fps,
+        frames=data.frames,
+        features=FeatureSpec(data.layout, "humanml3d", tuple(map(float, mean)), tuple(map(float, std))),
         text=TextSpec(clip.empty_caption.shape[1], "<|endoftext|>", clip.positions),
         levels=level_specs(models),
         schedule=ScheduleSpec(1000, 8.5e-4, 0.012, 1, "leading", "epsilon"),
         defaults=Defaults(dict.fromkeys(levels, STEPS), dict.fromkeys(levels, GUIDANCE), "structure", SECONDS),
         roles=ROLES,
         precision=precision,
-        files={name: describe_file(data) for name, data in sorted(files.items())},
-        operators={name: summarise(data, name).operators for name, data in sorted(graphs.items())},
+        files={name: describe_file(content) for name, content in sorted(files.items())},
+        operators={name: summarise(content, name).operators for name, content in sorted(graphs.items())},
         parity=parity,
         training={},
         quality={},

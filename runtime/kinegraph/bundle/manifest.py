@@ -113,7 +113,7 @@ class FrameSpec:
 class FeatureSpec:
     """Motion features that the decoders return, and their normalisation: `decoded * std + mean`."""
 
-    layout: Literal["joints-137", "humanml3d-263"]
+    layout: Literal["joints-137", "humanml3d-263", "kit-251"]
     heading: Literal["true", "humanml3d"]
     mean: tuple[float, ...]
     """(F,)."""
@@ -304,7 +304,7 @@ MAX_DIMS: Final[Mapping[str, int]] = {
 }
 """Upper limits on `LevelSpec`, far above any model: they bound the size of contracts before a file is trusted."""
 
-LAYOUT_WIDTHS: Final[Mapping[str, int]] = {"joints-137": 137, "humanml3d-263": 263}
+LAYOUT_WIDTHS: Final[Mapping[str, int]] = {"joints-137": 137, "humanml3d-263": 263, "kit-251": 251}
 """Feature layout -> F, width of its features."""
 
 
