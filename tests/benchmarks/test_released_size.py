@@ -2,12 +2,22 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 
 pytest.importorskip("torch")
 pytest.importorskip("onnxscript")
 
-from kinegraph_benchmarks.speed.released_size import MLD, RELEASED, clip_seconds, random_level, table
+from kinegraph_benchmarks.speed.released_size import (
+    MLD,
+    RELEASED,
+    clip_seconds,
+    eager_arm,
+    plain_arm,
+    random_level,
+    table,
+)
 
 LEVEL = {"times": {"eager torch": [110.0, 100.0], "ours, fp32": [40.0, 50.0], "ours, int8": [10.0, 12.0]}}
 
@@ -29,10 +39,19 @@ def test_the_table_has_a_row_for_every_model() -> None:
         "MDM (50 steps)": {"steps": "50", "seconds": clip_seconds([mdm], [50])},
     }
     text = table({"networks": networks, "clips": clips, "peak_mb": 900.0})
-    assert "| GraphMotion as released | 15 | 1.500 | 0.600 | 0.150 |" in text
-    assert "| MDM (50 steps) | 50 | 4.500 |  |  |" in text
+    assert "| GraphMotion as released | 15 | 1.500 |  | 0.600 | 0.150 |" in text
+    assert "| MDM (50 steps) | 50 | 4.500 |  |  |  |" in text
     assert "int8: 238 MB" in text
     assert "Random weights" in text
+
+
+def test_a_plain_export_predicts_what_eager_torch_does() -> None:
+    torch = pytest.importorskip("torch")
+    config = replace(MLD, width=32, latent_width=32, layers=3, feed_forward=64, text_width=24)
+    call, inputs = random_level(config, "specific", 1, None).call
+    eager, (plain, size) = eager_arm(call, inputs), plain_arm(call, inputs, 1)
+    (exported,) = plain()
+    assert size > 0 and torch.allclose(torch.from_numpy(exported), eager(), atol=1e-5)
 
 
 def test_networks_have_the_published_sizes() -> None:

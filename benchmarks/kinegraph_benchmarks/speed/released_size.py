@@ -1,4 +1,4 @@
-"""Time the released networks and ours, each as its users run it: GraphMotion's Table C in one run.
+"""Time the published networks and ours, each as its users run it: GraphMotion's Table C in one run.
 
     python -m kinegraph_benchmarks.speed.released_size --out released.json [--quick]
 
@@ -6,10 +6,14 @@ Weights are random: this is for latency, size and memory only. One call of every
 network taking turns; a clip's seconds are the sum of its calls, as each model's configuration has them. Arms:
 
 - eager torch: the network as it is released, conditions and time embedded at every step;
+- plain export: the same call as torch exports it to ONNX, in float32, on onnxruntime with its defaults;
 - our runtime, float32 and int8: the graphs that `import_graphmotion` and `import_mld` write.
 
+GraphMotion is there twice: as published (9 layers of width 256, its Table 1) and as released (17 of width 1024).
+
 A denoiser of the released GraphMotion has 237 M parameters. They are made, exported and timed one after another, which
-takes 5 GB of memory at most; `--layers 5` makes smaller ones of the same width.
+takes 5 GB of memory at most; `--layers 5` makes smaller ones of the same width. `speed.released_bundle` times a whole
+bundle of that size.
 """
 
 from __future__ import annotations
@@ -21,6 +25,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import onnxruntime
 import torch
 from torch import Tensor, nn
 
@@ -34,10 +39,12 @@ from kinegraph_benchmarks.common.timing import Arm, time_interleaved, timing_tab
 from kinegraph_export.graphs import Precision
 from kinegraph_export.official.denoiser import OfficialDenoiser, OfficialDenoiserConfig
 from kinegraph_export.official.graphs import export_graph, level_spec
+from kinegraph_export.onnx_export import serialise, to_onnx
 from kinegraph_training.models.transformer import EncoderLayer
 
 TEXT_WIDTH, LATENT_WIDTH = 768, 256
 RELEASED = OfficialDenoiserConfig(2, LATENT_WIDTH, 1024, 17, 16, 4096, TEXT_WIDTH, is_lifted=True)
+PUBLISHED = OfficialDenoiserConfig(2, LATENT_WIDTH, 256, 9, 4, 1024, TEXT_WIDTH, is_lifted=False)
 MLD = OfficialDenoiserConfig(1, LATENT_WIDTH, 256, 9, 4, 1024, TEXT_WIDTH, is_lifted=False)
 TOKENS = (2, 4, 8)
 PAPER_STEPS, CONFIGURED_STEPS = (15, 15, 20), (50, 50, 50)
@@ -46,7 +53,7 @@ MDM_STEPS = (50, 1000)
 MDM_FRAMES = 196
 ROWS = 2
 """Unconditional and conditional."""
-ARMS = ("eager torch", "ours, fp32", "ours, int8")
+ARMS = ("eager torch", "plain export", "ours, fp32", "ours, int8")
 PRECISIONS: tuple[Precision, ...] = ("fp32", "int8")
 
 
@@ -84,12 +91,49 @@ class Level:
         graphs = released_level(self.name, self.spec, TEXT_WIDTH, self.coarse)
         return {graph.name: graph for graph in graphs}
 
-    def eager(self) -> Tensor:
-        """Predict noise as the released code does: conditions and time are embedded anew."""
+    @property
+    def call(self) -> tuple[nn.Module, dict[str, Tensor]]:
+        """One call as the released code makes it, and its inputs."""
+        inputs = {"latent": self.latent, "timestep": torch.full((ROWS,), 501), "nodes": self.nodes}
+        if self.coarse_latent is not None:
+            inputs["coarse"] = self.coarse_latent
+        return ReleasedCall(self.denoiser), inputs
+
+
+class ReleasedCall(nn.Module):
+    """A noise prediction as the released code makes it: conditions and time are embedded at every step."""
+
+    def __init__(self, denoiser: OfficialDenoiser) -> None:
+        super().__init__()
+        self.denoiser = denoiser
+
+    def forward(self, latent: Tensor, timestep: Tensor, nodes: Tensor, coarse: Tensor | None = None) -> Tensor:
+        """Predict noise (rows, tokens, z) of a latent of that shape."""
+        condition = self.denoiser.conditions(nodes, coarse)
+        time = self.denoiser.time(timestep)
+        return self.denoiser(latent, time, condition, torch.ones(ROWS, condition.shape[1]))
+
+
+def eager_arm(module: nn.Module, inputs: dict[str, Tensor]) -> Arm:
+    """Make the call of a module in eager torch."""
+
+    def run() -> Tensor:
         with torch.no_grad():
-            condition = self.denoiser.conditions(self.nodes, self.coarse_latent)
-            time = self.denoiser.time(torch.full((ROWS,), 501))
-            return self.denoiser(self.latent, time, condition, torch.ones(ROWS, condition.shape[1]))
+            return module(*inputs.values())
+
+    return run
+
+
+def plain_arm(module: nn.Module, inputs: dict[str, Tensor], threads: int) -> tuple[Arm, int]:
+    """Export a module as torch does, for fixed shapes; returns its call on onnxruntime, and the bytes of the graph."""
+    model = to_onnx(module, tuple(inputs.values()), list(inputs), ["result"], tuple(None for _ in inputs))
+    data = serialise(model)
+    options = onnxruntime.SessionOptions()
+    options.intra_op_num_threads = threads
+    session = onnxruntime.InferenceSession(data, options, providers=["CPUExecutionProvider"])
+    names = {entry.name for entry in session.get_inputs()}
+    feeds = {name: value.numpy() for name, value in inputs.items() if name in names}
+    return lambda: session.run(None, feeds), len(data)
 
 
 def random_level(config: OfficialDenoiserConfig, name: str, kinds: int, coarse: LevelSpec | None) -> Level:
@@ -128,24 +172,22 @@ def session_arm(level: Level, precision: Precision, threads: int) -> tuple[Arm, 
 
 def time_level(level: Level, threads: int, repeats: int) -> dict[str, Any]:
     """Time one step of a level by all arms in turn."""
-    arms: dict[str, Arm] = {"eager torch": level.eager}
-    sizes = {}
+    arms: dict[str, Arm] = {"eager torch": eager_arm(*level.call)}
+    sizes: dict[str, int] = {}
+    arms["plain export"], sizes["plain export"] = plain_arm(*level.call, threads)
     for precision in PRECISIONS:
         print(f"exporting {level.name} in {precision}", file=sys.stderr)
         arms[f"ours, {precision}"], sizes[precision] = session_arm(level, precision, threads)
     return {"times": time_interleaved(arms, repeats), "bytes": sizes}
 
 
-def time_mdm(repeats: int) -> dict[str, Any]:
-    """Time one call of a denoiser of MDM's size in eager torch."""
+def time_mdm(threads: int, repeats: int) -> dict[str, Any]:
+    """Time one call of a denoiser of MDM's size: our runtime has no such graph."""
     torch.manual_seed(0)
-    model, motion = MdmStep().eval(), torch.randn(ROWS, MDM_FRAMES, 263)
-
-    def run() -> Tensor:
-        with torch.no_grad():
-            return model(motion)
-
-    return {"times": time_interleaved({"eager torch": run}, repeats)}
+    model, inputs = MdmStep().eval(), {"motion": torch.randn(ROWS, MDM_FRAMES, 263)}
+    plain, size = plain_arm(model, inputs, threads)
+    arms = {"eager torch": eager_arm(model, inputs), "plain export": plain}
+    return {"times": time_interleaved(arms, repeats), "bytes": {"plain export": size}}
 
 
 def time_ours(threads: int, repeats: int) -> dict[str, Any]:
@@ -173,12 +215,12 @@ def peak_memory() -> float:
 
 def table(result: dict[str, Any]) -> str:
     """Format seconds of a clip's denoising by model and arm, and the single calls below."""
-    lines = ["| a clip's denoising, seconds | steps | eager torch | ours, fp32 | ours, int8 |", "|---|---|---|---|---|"]
+    lines = [f"| a clip's denoising, seconds | steps | {' | '.join(ARMS)} |", "|---|---|" + "---|" * len(ARMS)]
     for name, entry in result["clips"].items():
         cells = [f"{entry['seconds'][arm]:.3f}" if arm in entry["seconds"] else "" for arm in ARMS]
         lines.append(f"| {name} | {entry['steps']} | {' | '.join(cells)} |")
     whole = min(result["networks"]["ours"]["times"]["ours, default bundle"]) / 1000.0
-    lines += [f"| ours, a whole clip | | | | {whole:.3f} |", ""]
+    lines += [f"| ours, a whole clip |{' |' * len(ARMS)} {whole:.3f} |", ""]
     for name, network in result["networks"].items():
         lines += [f"One call of {name}:", "", timing_table(network["times"]), ""]
         for precision, size in network.get("bytes", {}).items():
@@ -198,22 +240,29 @@ def measure(layers: int, width: int, threads: int, repeats: int) -> dict[str, An
     """
     torch.set_num_threads(threads)
     networks: dict[str, Any] = {}
-    coarse: LevelSpec | None = None
-    config = replace(RELEASED, layers=layers, width=width, feed_forward=4 * width)
-    for kinds, (name, tokens) in enumerate(zip(LEVELS, TOKENS, strict=True), start=1):
-        level = random_level(replace(config, tokens=tokens), name, kinds, coarse)
-        networks[f"GraphMotion, {name}"] = time_level(level, threads, repeats)
-        coarse = level.spec
+    released = replace(RELEASED, layers=layers, width=width, feed_forward=4 * width)
+    for model, config in (("as published", PUBLISHED), ("as released", released)):
+        coarse: LevelSpec | None = None
+        for kinds, (name, tokens) in enumerate(zip(LEVELS, TOKENS, strict=True), start=1):
+            level = random_level(replace(config, tokens=tokens), name, kinds, coarse)
+            networks[f"GraphMotion {model}, {name}"] = time_level(level, threads, repeats)
+            coarse = level.spec
     mld = random_level(MLD, LEVELS[-1], 1, None)
     networks["MLD"] = time_level(mld, threads, repeats)
-    networks["MDM"] = time_mdm(repeats)
+    networks["MDM"] = time_mdm(threads, repeats)
     networks["ours"] = time_ours(threads, repeats)
-    released = [networks[f"GraphMotion, {name}"] for name in LEVELS]
+    calls = {
+        model: [networks[f"GraphMotion {model}, {name}"] for name in LEVELS]
+        for model in ("as published", "as released")
+    }
     clips = {
-        "GraphMotion as released": {"steps": "15/15/20", "seconds": clip_seconds(released, PAPER_STEPS)},
+        **{
+            f"GraphMotion {model}": {"steps": "/".join(map(str, steps)), "seconds": clip_seconds(calls[model], steps)}
+            for model, steps in (("as published", PAPER_STEPS), ("as released", PAPER_STEPS))
+        },
         "GraphMotion as released, its configuration": {
             "steps": "50/50/50",
-            "seconds": clip_seconds(released, CONFIGURED_STEPS),
+            "seconds": clip_seconds(calls["as released"], CONFIGURED_STEPS),
         },
         "MLD": {"steps": "50", "seconds": clip_seconds([networks["MLD"]], [50])},
         **{f"MDM ({n} steps)": {"steps": str(n), "seconds": clip_seconds([networks["MDM"]], [n])} for n in MDM_STEPS},
