@@ -30,7 +30,7 @@ from support.motions import walk
 from support.published_sets import write_guo_set
 from support.toy_run import ASSETS, run_stage, steps_of
 
-pytestmark = [pytest.mark.slow, pytest.mark.timeout(600)]
+pytestmark = [pytest.mark.slow, pytest.mark.timeout(1200)]
 
 SMALL = """base = "humanml3d"
 [vae.shared]
