@@ -25,7 +25,11 @@ from kinegraph.playground.server import Server, listen, warm_up
 HERE = Path(__file__).parent
 FLAGS = ["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
 TEXT = "a person walks forward while waving the right hand"
-SCENE = ["a person walks forward", "a person waves both hands", "a person walks in a circle to the left"]
+SCENE = ["a person walks forward", "a person walks while waving the right hand", "a person walks and stops"]
+WHERE = [
+    {"type": "path", "points": [[0, 0], [0.1, 1.6], [1.0, 2.7], [2.4, 2.9], [3.4, 2.2], [3.9, 1.1]]},
+    {"type": "joint", "joint": "right_wrist", "position": [None, 1.75, None], "seconds": 4.5},
+]
 Author = Callable[[Page], None]
 
 
@@ -88,7 +92,7 @@ def main() -> None:
         link = f"http://127.0.0.1:{port}/#{urlencode({'text': TEXT, 'seconds': 4, 'seed': 4})}"
         take_picture(browser, link, "play.jpg", (1280, 800), "light", 2.0, make_takes)
         take_picture(browser, link, "phone.jpg", (390, 844), "light", 2.0, lambda page: None)
-        scene = {"texts": json.dumps(SCENE), "seconds": "3,2.5,3", "seed": 7}
+        scene = {"texts": json.dumps(SCENE), "seconds": "3,3,3", "seed": 7, "constraints": json.dumps(WHERE)}
         take_picture(
             browser, f"http://127.0.0.1:{port}/#{urlencode(scene)}", "timeline.jpg", (1280, 800), "dark", 6.4, open_code
         )

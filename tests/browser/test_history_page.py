@@ -14,7 +14,7 @@ def seed_of(page: object) -> str:
 
 
 def test_takes_stand_beside_one_another_and_are_picked(open_page: Open, server: PlaygroundClient) -> None:
-    page = open_page(server.url, 1000, 800)
+    page = open_page(server.url, 900, 620)
     generate(page, "a person runs", seconds="1", seed="5", steps="2")
     page.locator(".sampling [name=seed]").fill("")
     page.locator("canvas").press("t")
@@ -34,7 +34,7 @@ def test_takes_stand_beside_one_another_and_are_picked(open_page: Open, server: 
 
 
 def test_steps_are_undone_and_done_again_also_after_a_reload(open_page: Open, server: PlaygroundClient) -> None:
-    page = open_page(server.url, 1000, 800)
+    page = open_page(server.url, 900, 620)
     field = page.get_by_label("What should the person do?")
     generate(page, "a person runs", seconds="1", seed="5", steps="2")
     page.get_by_label("In place").check()
@@ -65,14 +65,14 @@ def test_steps_are_undone_and_done_again_also_after_a_reload(open_page: Open, se
 def test_a_project_is_a_file_and_another_browser_goes_on_with_it(
     open_page: Open, server: PlaygroundClient, tmp_path: Path
 ) -> None:
-    page = open_page(server.url, 1000, 800)
+    page = open_page(server.url, 900, 620)
     generate(page, "a person runs", seconds="1", seed="5", steps="2")
     with page.expect_download() as waiting:
         page.locator("canvas").press("Control+s")
     file = tmp_path / waiting.value.suggested_filename
     waiting.value.save_as(file)
     assert file.name == "a_person_runs_5.kinegraph.json"
-    other = open_page(server.url, 1000, 800)
+    other = open_page(server.url, 900, 620)
     wait_until(other, lambda: shows(other) == 1)
     other.locator(".open-file").set_input_files(file)
     wait_until(other, lambda: shows(other) == 2)
@@ -95,7 +95,7 @@ def test_a_project_is_a_file_and_another_browser_goes_on_with_it(
 
 
 def test_a_second_tab_works_meanwhile(open_page: Open, server: PlaygroundClient) -> None:
-    first = open_page(server.url, 1000, 800)
+    first = open_page(server.url, 900, 620)
     generate(first, "a person runs", seconds="1", seed="5", steps="2")
     second = first.context.new_page()
     second.goto(server.url)
@@ -109,7 +109,7 @@ def test_a_second_tab_works_meanwhile(open_page: Open, server: PlaygroundClient)
 
 
 def test_the_keyboard_is_told(open_page: Open, server: PlaygroundClient) -> None:
-    page = open_page(server.url, 1000, 800)
+    page = open_page(server.url, 900, 620)
     page.locator("canvas").press("?")
     sheet = page.get_by_role("dialog")
     assert sheet.is_visible() and "Undo" in sheet.inner_text() and "More takes" in sheet.inner_text()

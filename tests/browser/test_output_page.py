@@ -20,7 +20,7 @@ def test_what_is_asked_of_files_is_in_them_and_in_their_names(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(MotionPipeline, "load", lambda *_, **__: pipe)
-    page = open_page(server.url, 1000, 800)
+    page = open_page(server.url, 900, 620)
     generate(page, "a person runs", seconds="2", seed="3", steps="3")
     page.get_by_label("Loop").check()
     wait_until(page, lambda: clips_shown(page) == 2)
@@ -47,7 +47,7 @@ def test_what_is_asked_of_files_is_in_them_and_in_their_names(
 
 
 def test_the_program_can_be_copied(open_page: Open, server: PlaygroundClient) -> None:
-    page = open_page(server.url, 1000, 800, permissions=["clipboard-read", "clipboard-write"])
+    page = open_page(server.url, 900, 620, permissions=["clipboard-read", "clipboard-write"])
     page.get_by_text("As a program").click()
     copy = page.locator(".copy")
     copy.click()
@@ -61,7 +61,7 @@ def test_an_own_character_is_seen_and_exported(
 ) -> None:
     hero = tmp_path / "my hero.glb"
     hero.write_bytes(make_character(BUILDS["Mixamo, T-pose, centimetres"]))
-    page = open_page(server.url, 1000, 800)
+    page = open_page(server.url, 900, 620)
     generate(page, "a person runs", seconds="2", seed="3", steps="3")
     before = shows(page)
     page.locator(".character-file").set_input_files(hero)
@@ -82,7 +82,7 @@ def test_an_own_character_is_seen_and_exported(
 def test_what_is_no_character_is_told_and_changes_nothing(
     open_page: Open, server: PlaygroundClient, tmp_path: Path
 ) -> None:
-    page = open_page(server.url, 1000, 800, refused=True)
+    page = open_page(server.url, 900, 620, refused=True)
     alert = page.get_by_role("alert")
     for name, data, reason in (
         ("hero.fbx", b"x", "no .glb or .vrm"),

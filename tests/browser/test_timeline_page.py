@@ -22,7 +22,7 @@ def segments(page: Page) -> list[str]:
 
 
 def begin(open_page: Open, server: PlaygroundClient) -> Page:
-    page = open_page(server.url, 1100, 800)
+    page = open_page(server.url, 900, 620)
     generate(page, "a person walks", seconds="2", seed="3", steps="2")
     return page
 

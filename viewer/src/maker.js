@@ -12,6 +12,7 @@ export function createMaker(on) {
   const bar = document.querySelector(".bar");
   const [status, count] = document.querySelectorAll(".status span");
   let run = null; // AbortController of the clip in the making
+  let sketched = false; // whether a sketch of it has been seen
 
   /** `detail` changes too often to be read out. */
   function say(text, part = null, detail = "") {
@@ -31,6 +32,7 @@ export function createMaker(on) {
       begun = true;
       // a hidden tab draws nothing, and would wait for ever
       if (!document.hidden) await new Promise(requestAnimationFrame);
+      sketched = true;
       if (on.isFront(actor)) seen[what] ??= performance.now() - pressed; // else it was overtaken before it was drawn
       return actor;
     };
@@ -62,6 +64,9 @@ export function createMaker(on) {
     get running() {
       return run !== null;
     },
+    get sketched() {
+      return sketched;
+    },
     cancel: () => run?.abort(),
     say,
     /**
@@ -73,6 +78,7 @@ export function createMaker(on) {
       const own = (run = new AbortController());
       const seen = { sketch: null, clip: null };
       let made = null;
+      sketched = false;
       on.fail(null);
       on.busy(true);
       say("Asking", 0);

@@ -45,7 +45,7 @@ export async function openPlayground(side, play, stage, transport, clock) {
   let shown = null; // its actor
   let front = null; // what is seen now: that, or a sketch
   let time = 0; // of the clip that is seen, seconds
-  let dragging = false;
+  let dragging = null; // who makes clips of what is being dragged
   let wanted = null; // the newest place of what is being dragged
   let shows = 0; // how often something was to be shown
 
@@ -220,18 +220,19 @@ export async function openPlayground(side, play, stage, transport, clock) {
     const own = next.sampling.seed ?? seed ?? undefined;
     wanted = done ? null : next;
     if (done) {
+      dragging = null;
       project = next;
       constraining.show([]);
       return make(next, { changes: true, own });
     }
-    if (dragging) return false;
-    dragging = true;
-    while (wanted) {
+    if (dragging && !maker.sketched) return false; // who drags sees each place at least as a sketch
+    const drag = (dragging = Symbol("drag"));
+    while (wanted && drag === dragging) {
       const now = wanted;
       wanted = null;
       await make(now, { changes: true, own, step: false });
     }
-    dragging = false;
+    if (drag === dragging) dragging = null;
     return true;
   }
 
@@ -399,6 +400,7 @@ export async function openPlayground(side, play, stage, transport, clock) {
       project = now.project;
       form.fill(project, 0);
       output.fill(project);
+      maker.say("Press Generate to make what the link says");
     } else go(now);
     if (matchMedia("(pointer: fine)").matches) field.text.focus();
   }

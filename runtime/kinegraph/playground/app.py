@@ -1,4 +1,4 @@
-"""The web application of the playground: the page, and six calls that keep no state."""
+"""The web application of the playground: the page, and six calls that store nothing."""
 
 from __future__ import annotations
 
