@@ -36,7 +36,7 @@ Author = Callable[[Page], None]
 def make_takes(page: Page) -> None:
     """Ask for more takes, and wait for them."""
     page.get_by_role("button", name="More takes").click()
-    page.locator(".take").nth(3).wait_for(timeout=120_000)
+    page.locator(".take").nth(3).wait_for(timeout=300_000)
     page.wait_for_timeout(500)
 
 
@@ -68,7 +68,7 @@ def take_picture(
     page.goto(url)
     page.wait_for_selector("html[data-ready]", state="attached")
     if author is not None:
-        page.wait_for_selector("html[data-made='1']", state="attached", timeout=120_000)  # the clip of the link
+        page.wait_for_selector("html[data-made='1']", state="attached", timeout=300_000)  # the clip of the link
         author(page)
         if page.locator(".sampling").get_attribute("open") is not None:
             page.locator(".sampling summary").click()  # close the settings, which the link has opened

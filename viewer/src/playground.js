@@ -6,6 +6,7 @@ import { loadActor } from "./actor.js";
 import * as api from "./api.js";
 import { createCharacters } from "./characters.js";
 import { createConstraining } from "./constraining.js";
+import { fitted } from "./constraints.js";
 import { named } from "./describe.js";
 import { createForm } from "./form.js";
 import { createHistory } from "./history.js";
@@ -14,7 +15,7 @@ import { createKeys } from "./keys.js";
 import { linked, linkOf } from "./link.js";
 import { createMaker } from "./maker.js";
 import { createOutput } from "./output.js";
-import { inserted, kindOf, newProject, projectOf, wishOf } from "./project.js";
+import { edges, inserted, kindOf, newProject, projectOf, wishOf } from "./project.js";
 import { createProjectFiles } from "./project_file.js";
 import { createResult } from "./result.js";
 import { createTakes } from "./takes.js";
@@ -207,7 +208,9 @@ export async function openPlayground(side, play, stage, transport, clock) {
   }
 
   /** A project that was changed on the timeline is made at once, with the same seed. */
-  function change(next, which) {
+  function change(changed, which) {
+    const whole = edges(changed).at(-1);
+    const next = { ...changed, constraints: fitted(changed.constraints, whole) };
     selected = which;
     form.fill(next, selected);
     timeline.show(next, selected, newest ? newest.frames / newest.fps : 0);
