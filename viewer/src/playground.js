@@ -161,6 +161,7 @@ export async function openPlayground(side, play, stage, transport, clock) {
     if (!done?.actor) return false;
     remember(wishOf(project, done.event.clip.seed), done.event);
     settle(done.event, done.actor, done.seen);
+    if (!maker.running) busy(false);
     count("made");
     return true;
   }
