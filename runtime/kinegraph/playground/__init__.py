@@ -10,6 +10,6 @@
     fair_queue.py   one clip at a time, tab by tab
     server.py       the socket, the server, the browser
 
-The server stores nothing: the same request gives the same clip, and a file is generated anew. It remembers the latest 64
-parts of timelines, by what they were made from, so that only what changed is made again (`kinegraph.timeline`).
+The server stores nothing: the same request gives the same clip, and a file is generated anew. It remembers the latest
+64 parts of timelines, by what they were made from, so that only what changed is made again (`kinegraph.timeline`).
 """
