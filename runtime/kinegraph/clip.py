@@ -76,6 +76,8 @@ class Clip:
         if not isinstance(self.notes, tuple):
             raise InvalidInputError(f"notes is of type {type(self.notes).__name__}; it must be a tuple of strings")
         _validate_strings(**{f"notes[{index}]": note for index, note in enumerate(self.notes)})
+        if not isinstance(self.misses, tuple) or self.misses:
+            _validate_misses(self.misses)
         object.__setattr__(self, "fps", float(self.fps))
         object.__setattr__(self, "seed", int(self.seed))
 
@@ -195,6 +197,14 @@ def _validate_strings(**values: object) -> None:
             raise InvalidInputError(f"{name} is {short_repr(value)}; it must be a string")
         if any("\ud800" <= character <= "\udfff" for character in value):
             raise InvalidInputError(f"{name} holds half a surrogate pair, which is no text")
+
+
+def _validate_misses(misses: object) -> None:
+    """Refuse misses that are none; the type is loaded only where there are any."""
+    from kinegraph.constraints import Miss
+
+    if not isinstance(misses, tuple) or not all(isinstance(miss, Miss) for miss in misses):
+        raise InvalidInputError(f"misses is {short_repr(misses)}; it must be a tuple of Miss")
 
 
 def _validate_joints(joints: object) -> FloatArray:

@@ -598,6 +598,8 @@ class MotionPipeline:
 
         resolve_options(self.manifest, seconds=seconds)
         ends = between(start, end, seconds, self.manifest.fps, placed=check_flag(placed, "placed"))
+        if not isinstance(constraints, list | tuple | None):
+            raise InvalidInputError(f"constraints is a list or None, not {short_repr(constraints)}")
         return self.generate(text, seconds=seconds, constraints=[*ends, *(constraints or ())], **options)
 
     def stream(
@@ -626,10 +628,14 @@ class MotionPipeline:
         """
         from kinegraph.clip_editing import stream_frames
 
-        if isinstance(texts, str | SemanticGraph) or not isinstance(texts, Iterable):
+        try:
+            parts = None if isinstance(texts, str | bytes | SemanticGraph) else iter(texts)
+        except TypeError:
+            parts = None
+        if parts is None:
             raise InvalidInputError("a stream takes sentences one after another, such as a list")
         first = resolve_options(self.manifest, seconds=seconds, seed=seed).seed
-        return stream_frames(self, texts, first, seconds, options)
+        return stream_frames(self, parts, first, seconds, options)
 
     def encode_composition(
         self, spec: CompositionSpec, options: GenerateOptions, *, own_length: bool

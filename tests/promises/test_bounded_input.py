@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 import threading
 import time
@@ -224,8 +225,9 @@ def test_long_captions_are_refused_before_they_are_parsed(toy: MotionPipeline, m
 # Any argument of any public function
 
 CLIP = Clip(np.zeros((9, 22, 3), dtype=np.float32), 20.0, 1, "a person stands", "toy 1")
+LONG_CLIP = Clip(np.tile(CLIP.joints[:1], (20, 1, 1)), 20.0, 1, "a person stands", "toy 1")
 FIELDS: dict[str, Any] = {"joints": CLIP.joints, "fps": 20, "seed": 1, "text": "a", "bundle": "b"}
-EXTRA_FIELDS = ("graph", "unknown", "notes")
+EXTRA_FIELDS = ("graph", "unknown", "notes", "misses")
 CONSTRAINT_FIELDS: dict[Callable[..., Any], dict[str, Any]] = {
     constraints.Path: {"points": [[0, 0], [0, 1]], "times": None, "heading": None, "weight": 1},
     Waypoint: {"seconds": 1, "position": (0, 1), "heading": None, "weight": 1},
@@ -326,6 +328,31 @@ PUBLIC: dict[str, Callable[[MotionPipeline, Any], object]] = {
         f"compose, {key}": lambda pipe, junk, key=key: pipe.compose([GRAPH, GRAPH], **{**FEW, key: junk})
         for key in ("method", "text", "lambdas", "agd")
     },
+    "generate, constraints": lambda pipe, junk: pipe.generate(GRAPH, constraints=junk, **FEW),
+    "generate, constraint": lambda pipe, junk: pipe.generate(GRAPH, constraints=[junk], **FEW),
+    **{
+        f"generate, {key}": lambda pipe, junk, key=key: pipe.generate(
+            GRAPH, constraints=[Waypoint(0.5, (0, 1))], **FEW, **{key: junk}
+        )
+        for key in ("constraint_weight", "constraint_fix")
+    },
+    "edit": lambda pipe, junk: pipe.edit(junk, GRAPH, keep="legs"),
+    **{
+        f"edit, {key}": lambda pipe, junk, key=key: pipe.edit(
+            LONG_CLIP, GRAPH, **{"keep": "legs", "steps": 1, key: junk}
+        )
+        for key in ("keep", "strength")
+    },
+    "edit, kept item": lambda pipe, junk: pipe.edit(LONG_CLIP, GRAPH, keep=[junk], steps=1),
+    "edit, span": lambda pipe, junk: pipe.edit(LONG_CLIP, GRAPH, keep=[(0, junk)], steps=1),
+    **{
+        f"inbetween, {key}": lambda pipe, junk, key=key: pipe.inbetween(
+            **{"start": CLIP, "end": CLIP, "seconds": 1, "text": GRAPH, "steps": 1, key: junk}
+        )
+        for key in ("start", "end", "seconds", "placed", "constraints")
+    },
+    "stream": lambda pipe, junk: list(itertools.islice(pipe.stream(junk, steps=1), 1)),
+    "stream, seconds": lambda pipe, junk: next(pipe.stream([GRAPH], seconds=junk, steps=1)),
     "energy_maps": lambda pipe, junk: energy_maps(pipe, junk, **FEW),
 }
 
