@@ -26,6 +26,7 @@ from kinegraph import (
 from kinegraph.batch import BatchOptions, read_table, unfinished
 from kinegraph.cli import main
 from kinegraph.cli.constraints import add_constraints, describe_misses, miss_records, parse_constraints
+from kinegraph.formats import read as read_clip
 from kinegraph.formats.constraints_json import encode
 from support.cli_runs import fails, not_loaded
 from support.motions import walk
@@ -195,3 +196,42 @@ def test_rows_of_a_table_name_files_of_constraints(
     assert unfinished(rows, "out", BatchOptions(bundle=str(toy_bundle))) == rows[:1]  # another file, another clip
     (here / "rows.csv").write_text("text,constraints\na person walks,none.json\n")
     assert "row 1: there is no file of constraints" in fails(capsys, *words)
+
+
+@pytest.mark.usefixtures("toy_by_default")
+@pytest.mark.parametrize(
+    ("command", "told"),
+    [
+        (("edit", "clip.npz", "a person bows", "--keep", "legs", "--keep", "0-0.5s"), "what is kept"),
+        (("inbetween", "clip.npz", "clip.npz", "a person walks", "--seconds", "1"), "end pose"),
+    ],
+)
+def test_saved_clips_are_edited_and_joined(
+    clip: Clip, command: tuple[str, ...], told: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    pytest.importorskip("spacy")
+    assert main([*command, "--seed", "1", "--steps", "1", "-o", "made.npz"]) == 0
+    assert capsys.readouterr().out.splitlines()[-1].startswith(f"  {told}: missed by")
+    assert read_clip("made.npz").frames == (clip.frames if command[0] == "edit" else 20)
+
+
+@pytest.mark.parametrize(
+    ("command", "message"),
+    [
+        (("edit", "clip.npz", "a person bows", "--keep", "1s"), "write a span like 0-1s"),
+        (("edit", "none.npz", "a person bows", "--keep", "legs"), "none.npz"),
+        (("inbetween", "clip.npz", "none.npz", "a person bows"), "none.npz"),
+    ],
+)
+@pytest.mark.usefixtures("clip")
+def test_bad_edits_are_refused_before_anything_is_loaded(
+    command: tuple[str, ...], message: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(MotionPipeline, "load", not_loaded)
+    assert message in fails(capsys, *command, "-o", "made.npz")
+
+
+@pytest.mark.usefixtures("clip", "toy_by_default")
+def test_what_is_no_part_of_the_body_is_refused(here: FilePath, capsys: pytest.CaptureFixture[str]) -> None:
+    assert "tail" in fails(capsys, "edit", "clip.npz", "a person bows", "--keep", "tail", "-o", "made.npz")
+    assert not (here / "made.npz").exists()

@@ -1,4 +1,4 @@
-"""The command line: `kinegraph generate | compose | sequence | batch | retarget | view | play | serve | parse ...`.
+"""The command line: `kinegraph generate | compose | sequence | edit | batch | retarget | view | play | serve ...`.
 
 Exit codes: 0 success; 2 invalid input, bundle or target (one line on stderr says why); 130 interrupted.
 """
@@ -18,7 +18,9 @@ from kinegraph.cli.arguments import (
     add_bench,
     add_bundle,
     add_compose,
+    add_edit,
     add_generate,
+    add_inbetween,
     add_info,
     add_parse,
     add_play,
@@ -30,6 +32,7 @@ from kinegraph.cli.arguments import (
 from kinegraph.cli.batch import batch
 from kinegraph.cli.character import retarget
 from kinegraph.cli.console import one_line
+from kinegraph.cli.editing import edit, inbetween
 from kinegraph.cli.generate import compose, generate, sequence
 from kinegraph.cli.inspect import info, parse, run_bench, verify
 from kinegraph.cli.pages import play, serve, view
@@ -49,6 +52,8 @@ COMMANDS: Final[tuple[tuple[str, str, AddArguments, Run], ...]] = (
     ("generate", "make a clip from a sentence or a graph", add_generate, generate),
     ("compose", "make a clip of several motions at once, or without some", add_compose, compose),
     ("sequence", "make a clip of several sentences, one after another", add_sequence, sequence),
+    ("edit", "keep a part of a saved clip, and make the rest anew", add_edit, edit),
+    ("inbetween", "make the motion from one saved clip to another", add_inbetween, inbetween),
     ("batch", "make a clip of every row of a table, on all cores", add_batch, batch),
     ("retarget", "put a saved clip on a character", add_retarget, retarget),
     ("view", "show saved clips in the browser", add_view, view),

@@ -110,6 +110,34 @@ def add_sequence(parser: argparse.ArgumentParser) -> None:
     _add_sampling_and_output(parser)
 
 
+def add_edit(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of `edit`."""
+    parser.add_argument("clip", type=Path, metavar="CLIP", help="saved as .npz, .json, .glb or .bvh")
+    parser.add_argument("text", help="what happens in the rest")
+    parser.add_argument(
+        "--keep",
+        action="append",
+        required=True,
+        metavar="PART|SPAN",
+        help="legs, left leg, right leg, arms, left arm, right arm, head, torso, or a span like 0-1s; repeatable",
+    )
+    parser.add_argument(
+        "--strength", type=float, default=1.0, metavar="X", help="below 1 more of the clip stays; default 1"
+    )
+    add_constraints(parser)
+    _add_sampling_and_output(parser)
+
+
+def add_inbetween(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of `inbetween`."""
+    parser.add_argument("first", type=Path, metavar="CLIP", help="a saved clip, whose end is the beginning")
+    parser.add_argument("last", type=Path, metavar="CLIP", help="a saved clip, whose beginning is the end")
+    parser.add_argument("text", help="what happens between")
+    parser.add_argument("--seconds", type=float, default=2.0, metavar="S", help="length; default 2")
+    add_constraints(parser)
+    _add_sampling_and_output(parser)
+
+
 def add_retarget(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of `retarget`."""
     parser.add_argument("clip", type=Path, metavar="CLIP", help="saved as .npz, .json, .glb or .bvh")

@@ -156,7 +156,7 @@ def _joint(text: str) -> Constraint:
     time, place = _split(target, "=", "NAME@TIME=X,Y,Z, e.g. head@2s=_,1.2,_")
     position = [None if word.strip() == _FREE else word for word in place.split(",")]
     numbers = tuple(None if word is None else _number(word) for word in position)
-    return JointTarget(joint, numbers, _interval(time))  # type: ignore[arg-type]
+    return JointTarget(joint, numbers, parse_interval(time))  # type: ignore[arg-type]
 
 
 def _keyframe(text: str) -> Constraint:
@@ -177,8 +177,12 @@ def _split(text: str, separator: str, form: str) -> tuple[str, str]:
     return before, after
 
 
-def _interval(text: str) -> float | tuple[float, float]:
-    """Read a moment, or a while."""
+def parse_interval(text: str) -> float | tuple[float, float]:
+    """Read a moment "2.5s", or a while "2-3s".
+
+    Raises:
+        InvalidInputError: neither.
+    """
     found = _SECONDS.fullmatch(text)
     if found is None:
         raise InvalidInputError(f"{text[:40]!r} is no time; write 2.5s, or 2-3s for a while")
@@ -187,7 +191,7 @@ def _interval(text: str) -> float | tuple[float, float]:
 
 
 def _moment(text: str) -> float:
-    interval = _interval(text)
+    interval = parse_interval(text)
     if isinstance(interval, tuple):
         raise InvalidInputError(f"{text[:40]!r} is a while; write one moment, e.g. 2.5s")
     return interval

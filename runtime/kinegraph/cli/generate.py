@@ -46,7 +46,7 @@ class SamplingOptions:
 
 def generate(args: argparse.Namespace) -> int:
     """Run `kinegraph generate`: clips of a sentence or a graph."""
-    targets = _check_targets(args)
+    targets = check_targets(args)
     text_or_graph = read_text_or_graph(args.text, args.graph)
     seconds: float | None = args.seconds
     constraints = parse_constraints(args)
@@ -69,12 +69,12 @@ def generate(args: argparse.Namespace) -> int:
             on_step=on_step,
         )
 
-    return _run(args, targets, make_clips)
+    return run_command(args, targets, make_clips)
 
 
 def compose(args: argparse.Namespace) -> int:
     """Run `kinegraph compose`: clips of several concepts, and a picture of their energies."""
-    targets = _check_targets(args)
+    targets = check_targets(args)
     if args.energy is not None:
         _check_picture_target(args.energy, targets, args.force)
     concepts = parse_concepts(args.positive, args.negated)
@@ -100,7 +100,7 @@ def compose(args: argparse.Namespace) -> int:
                 on_step=on_step,
             )
 
-        clips = _make_one_by_one(make_clip, len(targets), sampling.seed, on_step)
+        clips = make_one_by_one(make_clip, len(targets), sampling.seed, on_step)
         if args.energy is not None:
             from kinegraph.energy import energy_maps
             from kinegraph.formats.energy_png import save_energy_maps
@@ -121,12 +121,12 @@ def compose(args: argparse.Namespace) -> int:
             save_energy_maps(maps, args.energy, force=args.force)
         return clips
 
-    return _run(args, targets, make_clips)
+    return run_command(args, targets, make_clips)
 
 
 def sequence(args: argparse.Namespace) -> int:
     """Run `kinegraph sequence`: clips of several sentences, one after another."""
-    targets = _check_targets(args)
+    targets = check_targets(args)
     sampling = SamplingOptions.from_args(args)
 
     def make_clips(pipeline: MotionPipeline, on_step: OnStep) -> list[Clip]:
@@ -142,12 +142,12 @@ def sequence(args: argparse.Namespace) -> int:
                 on_step=on_step,
             )
 
-        return _make_one_by_one(make_clip, len(targets), sampling.seed, on_step)
+        return make_one_by_one(make_clip, len(targets), sampling.seed, on_step)
 
-    return _run(args, targets, make_clips)
+    return run_command(args, targets, make_clips)
 
 
-def _make_one_by_one(
+def make_one_by_one(
     make_clip: Callable[[int | None, OnStep | None], Clip], count: int, seed: int | None, on_step: OnStep
 ) -> list[Clip]:
     """Make clips of consecutive seeds; without a seed the first clip draws one."""
@@ -158,7 +158,7 @@ def _make_one_by_one(
     return [first, *others]
 
 
-def _check_targets(args: argparse.Namespace) -> list[Path]:
+def check_targets(args: argparse.Namespace) -> list[Path]:
     """List the files to write, and refuse those that cannot be written before anything is computed for them."""
     from kinegraph.formats import check_clip_target, check_names, check_root
     from kinegraph.validation import check_fps
@@ -184,7 +184,7 @@ def _check_picture_target(path: Path, targets: Sequence[Path], force: bool) -> N
         raise OutputError(f"--energy and -o name the same file {str(path)!r}; choose two")
 
 
-def _run(args: argparse.Namespace, targets: Sequence[Path], make_clips: MakeClips) -> int:
+def run_command(args: argparse.Namespace, targets: Sequence[Path], make_clips: MakeClips) -> int:
     """Load the bundle, make the clips, write and report them."""
     start = time.perf_counter()
     character = None if args.character is None else load_character(args.character, args.map)
