@@ -98,7 +98,7 @@ def describe_misses(misses: Sequence[Miss]) -> list[str]:
     """Say in one line each how far a clip is from its constraints."""
     lines = []
     for miss in misses:
-        worst = "" if miss.worst < 1.05 * miss.metres else f", {_length(miss.worst)} at worst"
+        worst = "" if _length(miss.worst) == _length(miss.metres) else f", {_length(miss.worst)} at worst"
         turn = "" if miss.degrees is None else f", heading {miss.degrees:.0f} degrees"
         lines.append(f"{miss.what}: missed by {_length(miss.metres)}{worst}{turn}")
     return lines
