@@ -20,7 +20,7 @@ from kinegraph.errors import InvalidInputError
 from kinegraph.motion.energies import Energy, position_energy, relative_energy, to_own_frames
 from kinegraph.motion.quaternions import about_axis, rotate
 from kinegraph.motion.reaching import Pins
-from kinegraph.motion.skeleton import HORIZONTAL, JOINT_INDEX, JOINTS, PELVIS, facing_angle
+from kinegraph.motion.skeleton import HORIZONTAL, JOINT_INDEX, PELVIS, facing_angle
 from kinegraph.validation import finite_number, short_repr
 
 _LEG: Final = ("hip", "knee", "ankle", "foot")
@@ -140,6 +140,3 @@ def check_keep(keep: object, joints: Floats, fps: float) -> Kept:
 
 def _is_span(value: object) -> bool:
     return isinstance(value, tuple | list) and len(value) == 2 and not any(isinstance(part, str) for part in value)
-
-
-__all__ = ["JOINTS", "PARTS", "Kept", "check_keep"]

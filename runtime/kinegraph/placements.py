@@ -27,7 +27,7 @@ from kinegraph.constraints import (
 from kinegraph.feasibility import frame_of
 from kinegraph.motion.quaternions import about_axis, rotate
 from kinegraph.motion.reaching import Pins
-from kinegraph.motion.skeleton import HORIZONTAL, JOINTS, PELVIS, facing_angle
+from kinegraph.motion.skeleton import HORIZONTAL, PELVIS, facing_angle
 
 
 def pins_of(constraints: Sequence[Constraint], joints: Floats, fps: float) -> Pins:
@@ -129,6 +129,3 @@ def _at(poses: DoubleArray, joints: Floats, frame: int) -> DoubleArray:
     """Place centred poses (n, 22, 3) where the pelvis of a frame is, turned as that body is."""
     turned = rotate(about_axis(1, np.array(_heading(joints[frame]))), poses)
     return np.asarray(turned + joints[frame, PELVIS] * HORIZONTAL)
-
-
-__all__ = ["JOINTS", "misses_of", "pins_of", "wanted_places"]
