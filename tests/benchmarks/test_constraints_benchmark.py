@@ -7,7 +7,8 @@ import pytest
 
 from kinegraph import EndPose, JointTarget, Keyframe, Loop, Path, StartPose, Waypoint
 from kinegraph.feasibility import check_constraints
-from kinegraph_benchmarks.common.constraint_cases import FIRST_SEED, KINDS, make_cases
+from kinegraph.motion.skeleton import bone_lengths
+from kinegraph_benchmarks.common.constraint_cases import FIRST_SEED, KINDS, make_cases, on_common_body
 from kinegraph_benchmarks.common.predicates import FPS
 from kinegraph_benchmarks.quality.constraints import ALONE_GOALS, goals_met, miss, summarise, waypoints_of
 from kinegraph_training.data.clips import MotionClip
@@ -83,3 +84,10 @@ def test_a_summary_tells_which_goals_are_met() -> None:
     for change, goal in (({"miss": 0.04}, "corrected"), ({"jerk": 1.4}, "jerk"), ({"cpu": 0.7}, "time")):
         worse = summarise([rows[0] | {"corrected": arm | change}])
         assert not goals_met("path", worse)[goal]
+
+
+def test_captured_clips_are_put_on_the_common_body() -> None:
+    moved = on_common_body(CLIPS)
+    lengths = [bone_lengths(one.joints).mean(axis=0) for one in moved]
+    np.testing.assert_allclose(lengths[1:], lengths[:-1], atol=2e-3)
+    assert [one.action for one in moved] == [one.action for one in CLIPS]

@@ -2,13 +2,14 @@
 
 Targets of captured clips can be reached: a person did so. A case has the sentence of its clip's label, whose rules the
 captured clip meets, and asks for one thing that the clip did: its path, a place on it, where a hand was, a pose.
-Seeds are held out: no benchmark that settings were chosen by has seen them.
+Seeds are held out: no benchmark that settings were chosen by has seen them. Poses are first put on the bundle's body:
+with other bones no motion of it could be in them.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import cycle, islice, pairwise
 from typing import Final
 
@@ -17,10 +18,11 @@ import numpy as np
 from kinegraph import EndPose, JointTarget, Keyframe, Loop, Path, StartPose, Waypoint
 from kinegraph.arrays import FloatArray
 from kinegraph.constraints import Constraint
-from kinegraph.motion.skeleton import JOINT_INDEX, PELVIS
+from kinegraph.motion.skeleton import JOINT_INDEX, PELVIS, canonicalise
 from kinegraph_benchmarks.common.everyday_rules import meets
 from kinegraph_benchmarks.common.predicates import FPS
 from kinegraph_training.data.clips import MotionClip
+from kinegraph_training.data.common_skeleton import rest_directions, to_common_skeleton
 
 FIRST_SEED: Final = 70_000
 SECONDS: Final = 4.0
@@ -78,6 +80,12 @@ def make_cases(clips: Sequence[MotionClip], count: int) -> dict[str, list[Case]]
             for seed, (text, rules, seconds, constraints) in zip(seeds, cycle(drawn), strict=False)
         ]
     return cases
+
+
+def on_common_body(clips: Sequence[MotionClip]) -> list[MotionClip]:
+    """Put captured clips of one body on the body that bundles of several data sets are trained on."""
+    rests = rest_directions([clip.joints for clip in clips])
+    return [replace(clip, joints=canonicalise(to_common_skeleton(clip.joints, rests))) for clip in clips]
 
 
 _Drawn = Iterator[tuple[str, tuple[str, ...], float, tuple[Constraint, ...]]]

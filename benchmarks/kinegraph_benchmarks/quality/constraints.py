@@ -26,7 +26,7 @@ from kinegraph.constraints import Constraint
 from kinegraph.feasibility import frame_of
 from kinegraph.motion.skeleton import HORIZONTAL, PELVIS, facing_angle
 from kinegraph_benchmarks.common.arguments import add_arguments, benchmark_parser
-from kinegraph_benchmarks.common.constraint_cases import Case, floor_path, make_cases
+from kinegraph_benchmarks.common.constraint_cases import Case, floor_path, make_cases, on_common_body
 from kinegraph_benchmarks.common.evaluator import Evaluator
 from kinegraph_benchmarks.common.everyday_rules import meets
 from kinegraph_benchmarks.common.predicates import FPS
@@ -297,7 +297,9 @@ def main() -> None:
     options = parser.parse_args()
     pipe = MotionPipeline.load(options.bundle, threads=1)
     pipe.generate("a person walks forward", seconds=1, seed=1)  # opens the sessions
-    result = measure(pipe, read_split(options.data, SPLIT), options.cases, options.curve_cases, Evaluator())
+    result = measure(
+        pipe, on_common_body(read_split(options.data, SPLIT)), options.cases, options.curve_cases, Evaluator()
+    )
     write_report(options.out, result, markdown_table(result))
 
 
