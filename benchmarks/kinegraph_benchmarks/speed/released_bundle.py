@@ -13,8 +13,11 @@ Making the bundles takes 9 GB of memory and 6 GB of disk in --work, where they s
 from __future__ import annotations
 
 import json
+import subprocess
+import sys
 import tempfile
 from collections.abc import Callable, Sequence
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass
 from multiprocessing import get_context
 from multiprocessing.connection import Connection
@@ -26,8 +29,7 @@ import torch
 from tokenizers.pre_tokenizers import ByteLevel
 from torch import Tensor, nn
 
-from kinegraph import MotionPipeline
-from kinegraph.bench import GRAPH, machine
+from kinegraph.bench import machine
 from kinegraph.bundle.contract import LEVELS
 from kinegraph.bundle.sessions import available_cpus
 from kinegraph.diffusion.sampling import NoiseSchedule, ddim_coefficients
@@ -35,7 +37,8 @@ from kinegraph.graph import ROLES
 from kinegraph_benchmarks.common.arguments import add_arguments, benchmark_parser
 from kinegraph_benchmarks.common.report_io import write_report
 from kinegraph_benchmarks.common.timing import Arm, time_interleaved, timing_table
-from kinegraph_benchmarks.speed.released_size import PAPER_STEPS, RELEASED, TOKENS, peak_memory
+from kinegraph_benchmarks.speed.clip_process import peak_memory
+from kinegraph_benchmarks.speed.released_size import PAPER_STEPS, RELEASED, TOKENS
 from kinegraph_export.clip_text_encoder import (
     BEGIN,
     END,
@@ -180,18 +183,44 @@ class EagerClip:
         return latent
 
 
-def serve(arm: str, work: Path, quick: bool, steps: tuple[int, ...], threads: int, pipe: Connection) -> None:
-    """Make a clip whenever asked, in a process of its own; answers with its peak memory in MB."""
+def serve_eager(quick: bool, steps: tuple[int, ...], threads: int, pipe: Connection) -> None:
+    """Make a clip in eager torch whenever asked, in a process of its own; answers with its peak memory in MB."""
     torch.set_num_threads(threads)
-    make: Callable[[], object]
-    if arm == "eager torch":
-        make = EagerClip(Sizes.quick() if quick else Sizes.released(), steps)
-    else:
-        bundle = MotionPipeline.load(work / PRECISIONS[arm], threads=threads)
-        make = lambda: bundle.generate(GRAPH, seconds=SECONDS, seed=1, steps=list(steps))  # noqa: E731
-    while pipe.recv() == "clip":
-        make()
-        pipe.send(peak_memory())
+    make = EagerClip(Sizes.quick() if quick else Sizes.released(), steps)
+    with suppress(EOFError):  # the other end is closed when all is measured
+        while pipe.recv() == "clip":
+            make()
+            pipe.send(peak_memory())
+
+
+def start_eager(quick: bool, steps: tuple[int, ...], threads: int) -> Callable[[], float]:
+    """Start the process of eager torch; returns the call that makes a clip and tells its peak memory."""
+    context = get_context("spawn")
+    ours, other = context.Pipe()
+    context.Process(target=serve_eager, args=(quick, steps, threads, other), daemon=True).start()
+
+    def ask() -> float:
+        ours.send("clip")
+        return float(ours.recv())
+
+    return ask
+
+
+def start_bundle(folder: Path, steps: tuple[int, ...], threads: int, stack: ExitStack) -> Callable[[], float]:
+    """Start a process of a bundle, without torch, that ends with `stack`; returns its call as `start_eager` does."""
+    words = ["--bundle", str(folder), "--steps", ",".join(map(str, steps)), "--seconds", str(SECONDS)]
+    command = [sys.executable, "-m", "kinegraph_benchmarks.speed.clip_process", *words, "--threads", str(threads)]
+    process = stack.enter_context(subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True))
+    assert process.stdin is not None and process.stdout is not None
+    stack.callback(process.stdin.close)
+    asked, answers = process.stdin, process.stdout
+
+    def ask() -> float:
+        asked.write("clip\n")
+        asked.flush()
+        return float(answers.readline())
+
+    return ask
 
 
 def measure(work: Path, *, quick: bool, steps: tuple[int, ...], threads: int, repeats: int) -> dict[str, Any]:
@@ -205,22 +234,12 @@ def measure(work: Path, *, quick: bool, steps: tuple[int, ...], threads: int, re
         maker.join()
         if maker.exitcode != 0:
             raise RuntimeError(f"making the bundle in {precision} failed with status {maker.exitcode}")
-    pipes: dict[str, Connection] = {}
     memory: dict[str, float] = {}
-    for arm in ARMS:
-        pipes[arm], other = context.Pipe()
-        context.Process(target=serve, args=(arm, work, quick, steps, threads, other), daemon=True).start()
-
-    def ask(arm: str) -> Arm:
-        def run() -> None:
-            pipes[arm].send("clip")
-            memory[arm] = pipes[arm].recv()
-
-        return run
-
-    times = time_interleaved({arm: ask(arm) for arm in ARMS}, repeats, warm_up=1)
-    for pipe in pipes.values():
-        pipe.send("end")
+    with ExitStack() as stack:
+        calls = {arm: start_bundle(work / name, steps, threads, stack) for arm, name in PRECISIONS.items()}
+        calls["eager torch"] = start_eager(quick, steps, threads)
+        arms: dict[str, Arm] = {arm: lambda arm=arm: memory.update({arm: calls[arm]()}) for arm in ARMS}
+        times = time_interleaved(arms, repeats, warm_up=1)
     disk = {
         arm: sum(path.stat().st_size for path in (work / precision).iterdir()) for arm, precision in PRECISIONS.items()
     }

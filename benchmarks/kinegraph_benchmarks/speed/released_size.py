@@ -21,7 +21,6 @@ from __future__ import annotations
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -36,6 +35,7 @@ from kinegraph.bundle.sessions import available_cpus, open_session, session_opti
 from kinegraph_benchmarks.common.arguments import add_arguments, benchmark_parser
 from kinegraph_benchmarks.common.report_io import write_report
 from kinegraph_benchmarks.common.timing import Arm, time_interleaved, timing_table
+from kinegraph_benchmarks.speed.clip_process import peak_memory
 from kinegraph_export.graphs import Precision
 from kinegraph_export.official.denoiser import OfficialDenoiser, OfficialDenoiserConfig
 from kinegraph_export.official.graphs import export_graph, level_spec
@@ -204,13 +204,6 @@ def clip_seconds(levels: Sequence[dict[str, Any]], steps: Sequence[int]) -> dict
         arm: sum(count * min(level["times"][arm]) for level, count in zip(levels, steps, strict=True)) / 1000.0
         for arm in arms
     }
-
-
-def peak_memory() -> float:
-    """Read the peak of this process's resident memory in MB; NaN where the system does not say."""
-    status = Path("/proc/self/status")
-    lines = status.read_text(encoding="utf-8").splitlines() if status.is_file() else []
-    return next((float(line.split()[1]) / 1024 for line in lines if line.startswith("VmHWM:")), float("nan"))
 
 
 def table(result: dict[str, Any]) -> str:
