@@ -1,4 +1,4 @@
-/* kinegraph, Apache-2.0; sources sha256 e759d64ecaedda1e9af931ee4c02fdf197be73c801c01842163becda46f9b65c
+/* kinegraph, Apache-2.0; sources sha256 ff20a369c7f5ed7a548560fd2bf767305c43e4943fd3e181dbb2c22f6b74565d
 It contains three.js:
 
 The MIT License
