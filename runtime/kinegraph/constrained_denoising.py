@@ -122,7 +122,8 @@ class Wanted:
         if self.kept is None:
             return pins
         kept = self.kept.pins(joints.astype(np.float64))
-        return Pins(np.where(pins.wanted, pins.target, kept.target), pins.wanted | kept.wanted)
+        target = np.where(pins.wanted, pins.target, kept.target)
+        return Pins(target, pins.wanted | kept.wanted, certain=kept.wanted & ~pins.wanted)
 
     def misses(self, joints: FloatArray, fps: float) -> tuple[Miss, ...]:
         """Measure how far a motion is from each constraint, and from what is kept."""

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from kinegraph.motion.postprocess import find_contacts
-from kinegraph.motion.reaching import METRES_PER_JERK, Pins, reach, smooth_field
+from kinegraph.motion.reaching import MAX_REACH, METRES_PER_JERK, Pins, reach, smooth_field
 from kinegraph.motion.skeleton import JOINT_INDEX, PELVIS, bone_lengths
 from support.motions import stand, walk
 
@@ -69,6 +69,18 @@ def test_what_is_out_of_reach_does_not_explode() -> None:
     moved = reach(motion, wanted, rigid(motion), FPS, foot_fix=True)
     assert np.abs(moved - motion).max() < 0.8
     np.testing.assert_allclose(bone_lengths(moved), np.tile(rigid(motion), (30, 1)), atol=1e-4)
+
+
+def test_a_place_where_the_body_was_is_reached_from_any_distance() -> None:
+    motion, other = stand(40), walk(40)
+    legs = [PELVIS, *(JOINT_INDEX[f"{side}_{name}"] for side in ("left", "right") for name in ("hip", "knee", "ankle"))]
+    target, wanted = other.astype(np.float64), np.zeros((40, 22, 3), dtype=np.bool_)
+    wanted[:, legs] = True
+    assert np.abs(target - motion)[:, legs].max() > 2 * MAX_REACH
+    moved = reach(motion, Pins(target, wanted, certain=wanted), rigid(motion), FPS, foot_fix=False)
+    np.testing.assert_allclose(moved[:, legs], other[:, legs], atol=5e-3)
+    as_before = reach(motion, Pins(target, wanted), rigid(motion), FPS, foot_fix=False)
+    assert np.abs(as_before - other)[:, legs].max() > MAX_REACH / 2
 
 
 def test_a_smooth_field_is_the_least_squares_solution() -> None:

@@ -31,7 +31,7 @@ NEGLIGIBLE: Final = 5e-4
 MAX_PAST: Final = 0.02
 """Metres by which a round aims further past a target: what is out of reach must not wind up."""
 MAX_REACH: Final = 0.2
-"""Metres by which a correction moves a joint at most: what is further off is missed, and told."""
+"""Metres by which a correction moves a joint at most along an axis: what is further off is missed, and told."""
 
 
 @dataclass(frozen=True)
@@ -42,6 +42,14 @@ class Pins:
     """(frames, 22, 3) metres; anything where nothing is wanted."""
     wanted: NDArray[np.bool_]
     """(frames, 22, 3), for each axis."""
+    certain: NDArray[np.bool_] | None = None
+    """(frames, 22, 3), where a body is known to have been there, so that no distance is too far (`MAX_REACH`)."""
+
+    def missed(self, joints: Floats) -> DoubleArray:
+        """Measure what is left to each place, as far as it may be closed: (frames, 22, 3), 0 where none is wanted."""
+        missed = np.where(self.wanted, self.target - joints, 0.0)
+        bounded = np.clip(missed, -MAX_REACH, MAX_REACH)
+        return np.asarray(bounded if self.certain is None else np.where(self.certain, missed, bounded))
 
 
 def reach(joints: Floats, pins: Pins, lengths: FloatArray, fps: float, *, foot_fix: bool) -> FloatArray:
@@ -102,17 +110,17 @@ def _root_displacement(joints: Floats, pins: Pins, fps: float) -> DoubleArray:
         at = pins.wanted[:, PELVIS, axis].copy()
         if not at.any():
             continue
-        missed = np.where(at, pins.target[:, PELVIS, axis] - joints[:, PELVIS, axis], 0.0)
+        missed = pins.missed(joints)[:, PELVIS, axis]
         if not at[0]:
             at[0] = True
-        displacement[:, axis] = smooth_field(_bounded(missed[:, None]), at, fps)[:, 0]
+        displacement[:, axis] = smooth_field(missed[:, None], at, fps)[:, 0]
     return displacement
 
 
 def _joint_displacements(joints: Floats, pins: Pins, fps: float) -> DoubleArray:
     """Compute displacements (frames, 22, 3) through what each joint misses; joints of the same frames together."""
     displacement = np.zeros(joints.shape)
-    missed = _bounded(np.where(pins.wanted, pins.target - joints, 0.0))
+    missed = pins.missed(joints)
     columns = pins.wanted.reshape(len(joints), -1)
     flat = missed.reshape(len(joints), -1)
     out = displacement.reshape(len(joints), -1)
@@ -121,10 +129,6 @@ def _joint_displacements(joints: Floats, pins: Pins, fps: float) -> DoubleArray:
         same = np.flatnonzero((columns == at[:, None]).all(axis=0))
         out[:, same] = smooth_field(flat[:, same], at, fps)
     return displacement
-
-
-def _bounded(missed: Floats) -> DoubleArray:
-    return np.asarray(np.clip(missed, -MAX_REACH, MAX_REACH))
 
 
 def _pull(
