@@ -294,7 +294,7 @@ def test_one_character_takes_many_clips_fast(tmp_path: Path, figure: Callable[[s
         shown.encode()
         times.append(time.process_time() - start)
     figure(f"retargeting a clip of 4 s to 30 frames per second: {1000 * float(np.median(times)):.1f} ms of one core")
-    assert min(times) < 0.03
+    assert min(times) < 0.1  # three times what a slow busy core needs
 
 
 def test_a_map_names_what_is_not_found(tmp_path: Path) -> None:

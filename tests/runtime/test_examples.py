@@ -20,6 +20,7 @@ RUNS = {
     "compose": ("walk_cycle.glb", ["scene.glb", "walk_cycle.glb", "walk_waving.glb"]),
     "edit_graph": ("True\n", ["graph.json"]),
     "embed": ("80 frames at 20 per second, seed 7", ["walk.glb"]),
+    "follow_path": ("a person walks forward: path of ", ["walk_along.glb", "wave_after.glb"]),
     "many_clips_ray": ("000001.npz: 60 frames, a person bows", ["clips"]),
     "progress_and_cancel": ("out of time: stopped by on_step at step", []),
     "takes": ("seed 22, ", ["best.glb", *(f"turn_{seed}.bvh" for seed in (20, 21, 22, 23))]),
