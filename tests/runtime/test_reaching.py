@@ -83,6 +83,31 @@ def test_a_place_where_the_body_was_is_reached_from_any_distance() -> None:
     assert np.abs(as_before - other)[:, legs].max() > MAX_REACH / 2
 
 
+def test_a_smooth_field_with_slack_is_the_least_squares_solution() -> None:
+    rng = np.random.default_rng(1)
+    at, slack = np.arange(20) % 3 > 0, 2e-3
+    known = rng.normal(0.0, 0.02, (20, 2))
+    field = smooth_field(known, at, FPS, slack)
+    # the same as one stacked least-squares problem
+    rows = [*(np.diff(np.eye(20), n=3, axis=0) * FPS**3)]
+    goals = [np.zeros(2)] * len(rows)
+    for frame in range(20):
+        scale = slack if at[frame] else METRES_PER_JERK
+        rows.append(np.eye(20)[frame] / scale)
+        goals.append((known[frame] if at[frame] else np.zeros(2)) / scale)
+    np.testing.assert_allclose(field, np.linalg.lstsq(np.array(rows), np.array(goals))[0], atol=1e-8)
+
+
+def test_a_body_cuts_the_corners_of_its_path() -> None:
+    motion, wanted = stand(60), pins(60)
+    corner = 0.04 * np.abs(np.arange(60) - 30)[:, None] / 20 * [1.0, 0.0, 0.0]
+    wanted.target[:, PELVIS], wanted.wanted[:, PELVIS, [0, 2]] = motion[:, PELVIS] + corner - corner[0], True
+    moved = reach(motion, wanted, rigid(motion), FPS, foot_fix=False)
+    np.testing.assert_allclose(moved[:, PELVIS], wanted.target[:, PELVIS], atol=2e-3)
+    neck = (moved - motion)[:, JOINT_INDEX["neck"], 0]
+    assert np.abs(np.diff(neck, n=3)).max() < 0.5 * np.abs(np.diff(corner[:, 0], n=3)).max()
+
+
 def test_a_smooth_field_is_the_least_squares_solution() -> None:
     rng = np.random.default_rng(0)
     at = np.zeros(30, dtype=np.bool_)

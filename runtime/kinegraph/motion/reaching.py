@@ -22,6 +22,8 @@ from kinegraph.motion.skeleton import PELVIS
 
 METRES_PER_JERK: Final = 0.01
 """Metres of displacement that cost as much as a jerk of 1 m/s^3: it comes and goes within about half a second."""
+SLACK: Final = 3e-4
+"""Metres off its path that cost a body as much as a jerk of 1 m/s^3: it cuts corners by millimetres, not its pelvis."""
 ROUNDS: Final = 8
 """Rounds of aiming at what joints still miss."""
 SWEEPS: Final = 10
@@ -79,24 +81,29 @@ def reach(joints: Floats, pins: Pins, lengths: FloatArray, fps: float, *, foot_f
     return moved.astype(np.float32)
 
 
-def smooth_field(known: Floats, at: NDArray[np.bool_], fps: float) -> DoubleArray:
+def smooth_field(known: Floats, at: NDArray[np.bool_], fps: float, slack: float = 0.0) -> DoubleArray:
     """Fill in displacements between the frames where they are known, and let them fade away beside.
 
-    s minimises sum |D^3 s|^2 + (s / `METRES_PER_JERK`)^2, with D^3 the third derivative and s as known at its frames.
+    s minimises sum |D^3 s|^2 + (s / `METRES_PER_JERK`)^2, with D^3 the third derivative and s as known at its frames;
+    with a slack, ((s - known) / slack)^2 is added there instead.
 
     Args:
         known: (frames, n); only the rows at `at` count.
         at: (frames,) where it is known.
         fps: frames per second.
+        slack: metres off a known displacement that cost as much as a jerk of 1 m/s^3; 0 is none.
 
     Returns:
         (frames, n).
     """
     field = np.where(at[:, None], known, 0.0)
     free = ~at
-    if not free.any() or not at.any():
+    if not at.any() or not (free.any() or slack):
         return field
     third = np.diff(np.eye(len(at)), n=3, axis=0) * fps**3
+    if slack:
+        pull = np.where(at, slack**-2, METRES_PER_JERK**-2)
+        return np.asarray(np.linalg.solve(third.T @ third + np.diag(pull), pull[:, None] * field))
     unknown = third[:, free]
     normal = unknown.T @ unknown + np.eye(int(free.sum())) / METRES_PER_JERK**2
     field[free] = -np.linalg.solve(normal, unknown.T @ (third[:, at] @ field[at]))
@@ -113,7 +120,7 @@ def _root_displacement(joints: Floats, pins: Pins, fps: float) -> DoubleArray:
         missed = pins.missed(joints)[:, PELVIS, axis]
         if not at[0]:
             at[0] = True
-        displacement[:, axis] = smooth_field(missed[:, None], at, fps)[:, 0]
+        displacement[:, axis] = smooth_field(missed[:, None], at, fps, SLACK)[:, 0]
     return displacement
 
 
