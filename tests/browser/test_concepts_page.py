@@ -21,7 +21,7 @@ def test_concepts_are_composed(open_page: Open, server: PlaygroundClient, tmp_pa
     page.get_by_label("Method").select_option("latent")
     settings(page, seconds="2", seed="3", steps="3")
     page.get_by_role("button", name="Generate").click()
-    wait_until(page, lambda: clips_shown(page) == 1)
+    wait_until(page, lambda: clips_shown(page) >= 1 and "seed 3," in page.locator("body").inner_text())
     words = ["--and", "a person walks forward", "--and", "a person waves the right hand", "--not", "a person runs:0.5"]
     flags = ["--method", "latent", "--seconds", "2", "--seed", "3", "--steps", "3", "--threads", "1", "--quiet"]
     assert cli.main(["compose", *words, *flags, "-o", str(tmp_path / "x.npz")]) == 0
@@ -43,7 +43,7 @@ def test_how_concepts_are_mixed_goes_to_the_clip_the_link_and_the_file(
     page.get_by_label("Attention step").fill("0.1")
     settings(page, seconds="1.5", seed="3", steps="3")
     page.get_by_role("button", name="Generate").click()
-    wait_until(page, lambda: clips_shown(page) == 1)
+    wait_until(page, lambda: clips_shown(page) >= 1 and "seed 3," in page.locator("body").inner_text())
     words = ["--and", "a person walks forward", "--and", "a person waves the right hand"]
     mixed = ["--text", "a person walks while waving", "--lambdas", "0.1,0.65,0.25", "--agd", "0.1,0.2"]
     flags = ["--seconds", "1.5", "--seed", "3", "--steps", "3", "--threads", "1", "--quiet"]
@@ -88,7 +88,7 @@ def test_what_does_not_mix_is_hidden_or_said(open_page: Open, server: Playground
     page.get_by_label("Method").select_option("semantic")
     assert not page.get_by_label("Share of latent").is_visible()
     page.get_by_role("button", name="Generate").click()  # shares of "fused" are not sent with another method
-    wait_until(page, lambda: clips_shown(page) == 1)
+    wait_until(page, lambda: clips_shown(page) >= 1 and "seed 1," in page.locator("body").inner_text())
     for slider in page.locator(".concepts").get_by_label("Weight").all():
         slider.fill("0")
     wait_until(page, lambda: "1 to 8 concepts, not 0" in page.get_by_role("alert").inner_text())
