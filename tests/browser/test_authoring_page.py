@@ -26,6 +26,9 @@ SCENE = "#" + urlencode({"texts": json.dumps(TEXTS), "seconds": "1,1,1", "seed":
 """Three sentences of a second each, as a link; `test_timeline_page` authors such by hand."""
 
 
+pytestmark = pytest.mark.timeout(900)
+
+
 @pytest.fixture(autouse=True)
 def constrained(pipe: MotionPipeline) -> None:
     if not pipe.sampler.sessions.decoder_gradients:

@@ -38,7 +38,7 @@ from support.toy_run import ASSETS
 from support.tracing import Traces, traced_once
 
 WEIGHTS = Path(__file__).parents[2] / "weights" / "studio"
-pytestmark = [pytest.mark.slow, pytest.mark.timeout(600)]
+pytestmark = [pytest.mark.slow, pytest.mark.timeout(1200)]
 
 CARD = BundleCard(
     name="toy",
