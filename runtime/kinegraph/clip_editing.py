@@ -19,7 +19,7 @@ from kinegraph.keeping import check_keep
 from kinegraph.motion.features import features_from_joints
 from kinegraph.motion.quaternions import about_axis, rotate
 from kinegraph.motion.resampling import resample
-from kinegraph.motion.skeleton import HORIZONTAL, PELVIS, facing_angle
+from kinegraph.motion.skeleton import HORIZONTAL, PELVIS, facing_angle, start_at_origin
 from kinegraph.validation import finite_number, short_repr
 
 if TYPE_CHECKING:
@@ -52,7 +52,7 @@ def check_edit(clip: object, keep: object, strength: object, wanted: Wanted | No
             f"bundle {manifest.name} {manifest.version} has no encoder, which edits of clips need; take another "
             "one, or add the graph: python -m kinegraph_export.add_gradients"
         )
-    joints = at_origin(clip.joints if clip.fps == manifest.fps else resample(clip.joints, clip.fps, manifest.fps))
+    joints = start_at_origin(clip.joints if clip.fps == manifest.fps else resample(clip.joints, clip.fps, manifest.fps))
     frames = len(joints)
     if not manifest.frames.min <= frames <= manifest.frames.max:
         shortest, longest = manifest.seconds_limits
@@ -79,13 +79,6 @@ def encode(joints: FloatArray, sampler: LatentSampler) -> FloatArray:
     mask[0, : len(joints)] = 1.0
     inputs = {"features": features, "frame_mask": mask}
     return run_model(session(), ["latent"], inputs, "the encoder")[0]
-
-
-def at_origin(joints: FloatArray) -> FloatArray:
-    """Move a motion so that it starts above the origin and faces +Z; heights stay."""
-    heading = float(facing_angle(joints[:1])[0])
-    moved = joints.astype(np.float64) - joints[0, PELVIS] * HORIZONTAL
-    return np.asarray(rotate(about_axis(1, np.array(-heading)), moved), dtype=np.float32)
 
 
 def between(start: Any, end: Any, seconds: float, fps: float, *, placed: bool) -> list[Constraint]:
