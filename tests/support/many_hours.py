@@ -1,6 +1,6 @@
 """Write hours of made motion as shards, then train on them, and tell the peak memory of each process.
 
-    PYTHONPATH=tests python tests/support/many_hours.py --hours 300 --work /tmp/hours
+    PYTHONPATH=tests:benchmarks python tests/support/many_hours.py --hours 300 --work /tmp/hours
 
 The motion is a few walks, turned: cheap to make, and as large as any. Training is what the first batches take: listing
 the clips, measuring the normalisation, and drawing batches of features for the autoencoder.
@@ -18,6 +18,7 @@ from pathlib import Path
 
 import numpy as np
 
+from kinegraph_benchmarks.speed.clip_process import peak_memory
 from kinegraph_training.data.folder import PreparedClip
 from kinegraph_training.data.shards import write_shards
 from support.motions import walk
@@ -75,8 +76,9 @@ def peak_of(stage: str, work: Path, hours: float) -> dict[str, float]:
 
 def _measured(stage: str, work: Path, hours: float, send: object) -> None:
     {"write": write, "train": train}[stage](work, hours)
-    peaks = [resource.getrusage(who).ru_maxrss / 1024 for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
-    send.send(peaks)  # type: ignore[attr-defined]
+    # Not ru_maxrss of its own: that also counts the process that started this one.
+    children = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss / 1024
+    send.send((peak_memory(), children))  # type: ignore[attr-defined]
 
 
 if __name__ == "__main__":

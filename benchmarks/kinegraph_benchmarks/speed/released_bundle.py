@@ -13,6 +13,7 @@ Making the bundles takes 9 GB of memory and 6 GB of disk in --work, where they s
 from __future__ import annotations
 
 import json
+import os
 import subprocess
 import sys
 import tempfile
@@ -210,7 +211,11 @@ def start_bundle(folder: Path, steps: tuple[int, ...], threads: int, stack: Exit
     """Start a process of a bundle, without torch, that ends with `stack`; returns its call as `start_eager` does."""
     words = ["--bundle", str(folder), "--steps", ",".join(map(str, steps)), "--seconds", str(SECONDS)]
     command = [sys.executable, "-m", "kinegraph_benchmarks.speed.clip_process", *words, "--threads", str(threads)]
-    process = stack.enter_context(subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True))
+    # What this process can import the other can too: benchmarks are not installed.
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
+    process = stack.enter_context(
+        subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, env=environment)
+    )
     assert process.stdin is not None and process.stdout is not None
     stack.callback(process.stdin.close)
     asked, answers = process.stdin, process.stdout
