@@ -3,7 +3,8 @@
     python -m kinegraph_export.add_gradients --bundle BUNDLE --vaes weights/studio
 
 No weight is trained or changed: the gradients are derived from the decoders that the bundle holds, and the encoder
-comes from `--vaes`. Every graph is compared with torch, as in `export_bundle`.
+comes from `--vaes`. Denoisers with adaptive gradient descent give up the weights that the others have. Every new graph
+is compared with torch, as in `export_bundle`.
 """
 
 from __future__ import annotations
@@ -17,12 +18,14 @@ import onnx
 import torch
 
 from kinegraph.bundle.contract import (
+    AGD_DENOISERS,
     COARSE_DECODERS,
     CONTEXT_MIXING_VERSION,
     DECODER_GRADIENTS,
     ENCODER,
     FORMAT_VERSION,
     LEVELS,
+    WEIGHT_SOURCES,
     contracts,
 )
 from kinegraph.bundle.manifest import describe_file, encode_manifest
@@ -32,6 +35,7 @@ from kinegraph.errors import InvalidInputError
 from kinegraph_export.graphs import export_gradient, export_graph
 from kinegraph_export.modules import CoarseDecoderGraph, DecoderGraph, EncoderGraph
 from kinegraph_export.recover import dequantised_weights, recover_autoencoder
+from kinegraph_export.shared_weights import without_shared
 from kinegraph_training.models.vae import MotionVae, VaeConfig
 
 
@@ -102,6 +106,9 @@ def add_gradients(folder: Path, vaes: Path) -> dict[str, float]:
             f"format {manifest.format_version}, family {manifest.family!r}"
         )
     files, parity = constraint_graphs(bundle, vaes)
+    for graph in manifest.contracts.keys() & set(AGD_DENOISERS.values()):
+        file, source = (manifest.contracts[name].file for name in (graph, WEIGHT_SOURCES[graph]))
+        files[file] = without_shared(bundle.read_optional(file), bundle.read_optional(source))
     for name, data in files.items():
         (folder / name).write_bytes(data)
     manifest = dataclasses.replace(

@@ -20,6 +20,7 @@ from kinegraph.bundle.contract import (
     ENCODER,
     KINDS,
     LEVELS,
+    WEIGHT_SOURCES,
     GraphContract,
     LevelSpec,
     contracts,
@@ -43,6 +44,7 @@ from kinegraph_export.onnx_export import serialise, store_float16, store_int8, s
 from kinegraph_export.parity import InputGenerator, max_difference, module_arguments, relative_error
 from kinegraph_export.quantise import optimise_graph, quantise_dynamic
 from kinegraph_export.reverse_mode import derive_gradient, without_weights
+from kinegraph_export.shared_weights import without_shared
 from kinegraph_training.models.agd import AgdNoisePredictor
 from kinegraph_training.models.hierarchy import Hierarchy
 from kinegraph_training.models.vae import MotionVae
@@ -328,4 +330,7 @@ def export_graphs(
             stored = files[declared[decoder].file]
             files[declared[name].file], differences = export_gradient(module, declared[name], group, stored, exact)
             parity |= differences
+    for name in AGD_DENOISERS.values():
+        file, source = declared[name].file, declared[WEIGHT_SOURCES[name]].file
+        files[file] = without_shared(files[file], files[source])
     return files, parity

@@ -181,5 +181,6 @@ def test_weights_of_one_file_are_added_to_another() -> None:
     session = onnxruntime.InferenceSession(with_initializers(graph, source, "source.onnx"))
     np.testing.assert_array_equal(session.run(None, {"x": np.array([5.0, 7.0], dtype=np.float32)})[0], [10.0, 21.0])
     assert with_initializers(graph, model([node("Add", ["x", "x"], ["y"])]), "source.onnx") == graph + field(7, b"")
+    assert with_initializers(source, source, "source.onnx") == source + field(7, b"")  # it lacks nothing
     with pytest.raises(BundleFormatError, match=r"source\.onnx is not an ONNX model"):
         with_initializers(graph, source[:-3], "source.onnx")

@@ -39,7 +39,7 @@ DECODER_GRADIENTS: Final[Mapping[str, str]] = {
 }
 """Level -> vector-Jacobian product of its decoder, for constraints; a bundle has all or none.
 
-The file holds the graph alone. Its weights are those of the decoder's file (`onnx_inspect.with_initializers`).
+The file holds the graph alone; see `WEIGHT_SOURCES`.
 """
 
 ENCODER: Final = "encoder"
@@ -48,6 +48,12 @@ ENCODER: Final = "encoder"
 AGD_CONTEXTS: Final[Mapping[str, str]] = {level: f"context_{level}_agd" for level in LEVELS}
 AGD_DENOISERS: Final[Mapping[str, str]] = {level: f"denoiser_{level}_agd" for level in LEVELS}
 """Level -> denoiser with adaptive gradient descent (EnergyMoGen, Eq. 3, 4); a bundle has all `*_agd` graphs or none."""
+
+WEIGHT_SOURCES: Final[Mapping[str, str]] = {
+    **{name: name.removesuffix("_vjp") for name in DECODER_GRADIENTS.values()},
+    **{name: f"denoiser_{level}" for level, name in AGD_DENOISERS.items()},
+}
+"""Graph -> graph whose file has the weights that its own file lacks (`onnx_inspect.with_initializers`)."""
 
 KINDS: Final[Mapping[str, int]] = {"motion": 0, "action": 1, "specific": 2, "null": 3, "word": 4, "partial": 5}
 """Kind of a context token -> its number in the `kind` input of a context graph.

@@ -15,7 +15,8 @@ DEFAULT_DOMAIN: Final = "ai.onnx"
 
 _MAX_DEPTH: Final = 64
 _VARINT, _FIXED64, _BYTES, _FIXED32 = 0, 1, 2, 5
-_GRAPH_OF_MODEL, _INITIALIZER_OF_GRAPH = 7, 5
+_GRAPH_OF_MODEL, _NODE_OF_GRAPH, _INITIALIZER_OF_GRAPH = 7, 1, 5
+_INPUT_OF_NODE, _OUTPUT_OF_NODE, _NAME_OF_TENSOR = 1, 2, 8
 
 
 @dataclass
@@ -72,29 +73,53 @@ def check_self_contained(data: bytes, name: str) -> None:
 
 
 def with_initializers(graph: bytes, source: bytes, name: str) -> bytes:
-    """Add the initializers (weights and constants) of one ONNX file to another, whose nodes name them.
+    """Add to an ONNX file the initializers (weights and constants) of another that its nodes name and it lacks.
 
     Two protobuf messages in a row parse as one message with the fields of both, so nothing is decoded or copied twice.
 
     Args:
-        graph: content of the file that lacks them.
+        graph: content of the file that lacks them, or some of them, or none.
         source: content of the file that has them.
         name: of the second file, for messages.
 
     Raises:
-        BundleFormatError: the second file is no ONNX model.
+        BundleFormatError: one of the files is no ONNX model; the message names the second.
     """
     found = bytearray()
     try:
-        for number, wire, start, stop in _fields(source, 0, len(source)):
-            if (number, wire) != (_GRAPH_OF_MODEL, _BYTES):
-                continue
-            for inner, kind, begin, end in _fields(source, start, stop):
-                if (inner, kind) == (_INITIALIZER_OF_GRAPH, _BYTES):
-                    found += _length_delimited(inner, end - begin) + source[begin:end]
+        lacking = _names_without_tensor(graph)
+        for tensor, start, stop in _initializers(source):
+            if tensor in lacking:
+                found += _length_delimited(_INITIALIZER_OF_GRAPH, stop - start) + source[start:stop]
     except _MalformedError as error:
         raise BundleFormatError(f"{name} is not an ONNX model: {error}") from None
     return graph + _length_delimited(_GRAPH_OF_MODEL, len(found)) + bytes(found)
+
+
+def _names_without_tensor(data: bytes) -> set[bytes]:
+    """List what the nodes of a model read and neither a node nor an initializer gives."""
+    read: set[bytes] = set()
+    given = {name for name, _, _ in _initializers(data)}
+    for start, stop in _nested(data, 0, len(data), _GRAPH_OF_MODEL):
+        for begin, end in _nested(data, start, stop, _NODE_OF_GRAPH):
+            read.update(data[first:last] for first, last in _nested(data, begin, end, _INPUT_OF_NODE))
+            given.update(data[first:last] for first, last in _nested(data, begin, end, _OUTPUT_OF_NODE))
+    return read - given
+
+
+def _initializers(data: bytes) -> Iterator[tuple[bytes, int, int]]:
+    """Yield name, first byte and end of each initializer of a model."""
+    for start, stop in _nested(data, 0, len(data), _GRAPH_OF_MODEL):
+        for begin, end in _nested(data, start, stop, _INITIALIZER_OF_GRAPH):
+            for first, last in _nested(data, begin, end, _NAME_OF_TENSOR):
+                yield data[first:last], begin, end
+
+
+def _nested(data: bytes, start: int, end: int, number: int) -> Iterator[tuple[int, int]]:
+    """Yield first byte and end of each field of a number that holds bytes."""
+    for found, wire, begin, stop in _fields(data, start, end):
+        if (found, wire) == (number, _BYTES):
+            yield begin, stop
 
 
 def _length_delimited(number: int, length: int) -> bytes:

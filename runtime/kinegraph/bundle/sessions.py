@@ -21,6 +21,7 @@ from kinegraph.bundle.contract import (
     DECODER_GRADIENTS,
     ENCODER,
     LEVELS,
+    WEIGHT_SOURCES,
     GraphContract,
     check_signature,
     levels_of,
@@ -193,12 +194,12 @@ def open_sessions(
 
 
 def _read_graph(bundle: Bundle, contract: GraphContract) -> bytes:
-    """Read the file of an optional graph; a decoder's gradient takes the weights of the decoder's file."""
+    """Read the file of an optional graph, with the weights that it shares with another."""
     data = bundle.read_optional(contract.file)
-    if contract.name not in DECODER_GRADIENTS.values():
+    if contract.name not in WEIGHT_SOURCES:
         return data
-    decoder = bundle.manifest.contracts[contract.name.removesuffix("_vjp")].file
-    return with_initializers(data, bundle.read_optional(decoder), decoder)
+    source = bundle.manifest.contracts[WEIGHT_SOURCES[contract.name]].file
+    return with_initializers(data, bundle.read_optional(source), source)
 
 
 def open_session(
