@@ -142,7 +142,7 @@ class Clip:
         """Retarget the clip to a character; see `motion.retargeting`.
 
         Args:
-            character: `.glb` or `.vrm` file with a skinned human, `.bvh` skeleton, or what
+            character: `.glb`, `.gltf` or `.vrm` file with a skinned human, `.bvh` skeleton, or what
                 `formats.character.read_character` made of it.
             fps: keys per second, 1 to 240.
             root: let the joint above the character's pelvis carry travel and heading, as engines expect for root

@@ -315,10 +315,18 @@ FAULTS: tuple[Fault, ...] = (
     Fault(
         4,
         "a character reads files beside it",
-        "formats/character.py",
+        "formats/character_files.py",
         '    if folder is None:\n        raise InvalidInputError(f"it refers',
         '    folder = folder or Path()\n    if False:\n        raise InvalidInputError(f"it refers',
         "runtime/test_playground.py -k characters_are_bounded",
+    ),
+    Fault(
+        9,
+        "arms go through stout bodies",
+        "motion/retargeting.py",
+        "    if shape is not None:",
+        "    if False:",
+        "runtime/test_clearance.py -k stay_out_of_its_trunk",
     ),
     Fault(
         9,

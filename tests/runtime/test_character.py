@@ -23,7 +23,8 @@ import pytest
 from kinegraph.cli import main
 from kinegraph.clip import Clip
 from kinegraph.errors import InvalidInputError, OutputError
-from kinegraph.formats.character import Character, read_character, read_names
+from kinegraph.formats.character import Character, read_character
+from kinegraph.formats.character_files import read_names
 from kinegraph.motion.humanoid import split_name
 from kinegraph.motion.postprocess import find_contacts, lock_feet
 from kinegraph.motion.skeleton import JOINT_INDEX, facing_angle
@@ -105,17 +106,24 @@ def test_every_bone_points_where_ours_does(tmp_path: Path, name: str, figure: Ca
     present = {joint for joint, _ in hierarchy(build)}
     trunk = TRUNK_BONES if build.spine_joints == 3 else TRUNK_BONES[-1:]
     bones = [bone for bone in [*ARM_BONES, *trunk, *LEG_BONES] if present.issuperset(bone)]
-    arms, legs = [], []
+    arms, legs, kept = [], [], []
     for joints in motions():
-        shown = played(clip(joints).onto(character, fps=20).encode(), build, tmp_path)
+        data = clip(joints).onto(character, fps=20).encode()
+        # arms that touch the body are kept out of it; without its shape they have our directions alone
+        bare = clip(joints).onto(replace(character, shape=None), fps=20).encode()
+        clear, shown = (played(each, build, tmp_path) for each in (data, bare))
+        kept += [apart(clear, joints, bone) for bone in bones if bone in ARM_BONES]
         arms.append(max(apart(shown, joints, bone).max() for bone in bones if bone not in LEG_BONES))
         legs.append(np.concatenate([apart(shown, joints, bone) for bone in LEG_BONES]))
+    touching = float((np.concatenate(kept) > 2.0).mean())
     every = np.concatenate(legs)
     figure(
         f"{name}: trunk and arms at most {max(arms):.2f} degrees from ours; legs, bent for the feet, "
-        f"mean {every.mean():.2f}, 95 % {np.quantile(every, 0.95):.2f}, at most {every.max():.2f}"
+        f"mean {every.mean():.2f}, 95 % {np.quantile(every, 0.95):.2f}, at most {every.max():.2f}; "
+        f"arms kept out of the body in {100 * touching:.1f} % of frames"
     )
     assert max(arms) < 2.0
+    assert touching < 0.1
     if name in HUMAN:
         assert np.quantile(every, 0.95) < 2.5  # legs bend for the feet; 2.0 at most over the clips of studio 0.7.0
     assert every.mean() < 2.0
@@ -429,7 +437,7 @@ def test_damaged_files_are_refused(tmp_path: Path) -> None:
         read_character(path)
     with pytest.raises(InvalidInputError, match="there is no file"):
         read_character(tmp_path / "nobody.glb")
-    with pytest.raises(InvalidInputError, match=r"must be .bvh or .glb or .vrm"):
+    with pytest.raises(InvalidInputError, match=r"must be .bvh or .glb or .gltf or .vrm"):
         read_character(tmp_path / "hero.fbx")
 
 
@@ -461,6 +469,20 @@ def test_files_beside_the_character_are_packed_into_it(tmp_path: Path) -> None:
     np.testing.assert_allclose(GlbReader(data, tmp_path).points(-1), plain, atol=1e-6)
 
 
+def test_a_gltf_with_its_files_is_a_character_too(tmp_path: Path) -> None:
+    document, binary = unpacked(make_character(Build(MIXAMO)))
+    (tmp_path / "hero.bin").write_bytes(binary)
+    document["buffers"] = [{"byteLength": len(binary), "uri": "hero.bin"}]
+    (tmp_path / "hero.gltf").write_text(json.dumps(document), encoding="utf-8")
+    (tmp_path / "hero.glb").write_bytes(make_character(Build(MIXAMO)))
+    plain, packed = (clip(walk(10)).onto(tmp_path / f"hero.{kind}").encode() for kind in ("gltf", "glb"))
+    assert unpacked(plain)[1] == unpacked(packed)[1]
+    for text, problem in (("[]", "no object"), ("{", "damaged"), ("{}", "no skin")):
+        (tmp_path / "hero.gltf").write_text(text, encoding="utf-8")
+        with pytest.raises(InvalidInputError, match=problem):
+            read_character(tmp_path / "hero.gltf")
+
+
 def test_the_command_line_puts_a_saved_clip_on_a_character(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     hero = saved(tmp_path, BUILDS["Unreal, A-pose, Z up, twist"])
     clip(walk(40)).save(tmp_path / "walk.npz")
@@ -468,6 +490,7 @@ def test_the_command_line_puts_a_saved_clip_on_a_character(tmp_path: Path, capsy
     assert main([*words, "--fps", "60", "--in-place", "--root", "--json"]) == 0
     record = json.loads(capsys.readouterr().out)
     assert record["fps"] == 60 and record["frames"] == 120 and record["rig"] == "Unreal"
+    assert record["scale"] == pytest.approx(1.0, abs=0.02)
     assert record["bones"]["left_hip"] == "thigh_l" and record["spine"] == ["spine_01", "spine_02", "spine_03"]
     document, _ = unpacked((tmp_path / "out.glb").read_bytes())
     assert document["animations"][-1]["name"] == "a person walks"

@@ -101,6 +101,8 @@ class Build:
     hips: float = 1.0
     ankle_height: float = 0.076
     foot_length: float = 0.09
+    girth: float = 1.0
+    """Factor on the thickness of trunk and thighs: 1 is a box of 20 cm about the spine."""
     spine_joints: int = 3
     twist: bool = False
     """Whether each upper limb has a twist joint, and the thigh one between itself and the shin."""
@@ -278,7 +280,7 @@ def make_character(build: Build, edit: Callable[[dict[str, Any]], None] | None =
         matrix[:3, :3] = axes[name] * (build.node_scale if build.above else 1.0)
         matrix[:3, 3] = world[name]
         inverse[number] = np.linalg.inv(matrix).T
-    vertices, joints, triangles = boxes(rows, world, facing, build.unit * build.node_scale)
+    vertices, joints, triangles = boxes(rows, world, build.girth, build.unit * build.node_scale)
     weights = np.tile(np.array([1, 0, 0, 0], dtype=np.float32), (len(vertices), 1))
     bounds = {"min": vertices.min(0).tolist(), "max": vertices.max(0).tolist()}
     attributes = {
@@ -332,7 +334,7 @@ def unpacked(data: bytes) -> tuple[dict[str, Any], bytes]:
 
 
 def boxes(
-    rows: list[tuple[str, str | None]], world: dict[str, np.ndarray], facing: np.ndarray, unit: float
+    rows: list[tuple[str, str | None]], world: dict[str, np.ndarray], girth: float, unit: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """A box for every bone, bound to its upper joint; the foot's reaches down to the floor."""
     corners = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], dtype=float)
@@ -343,7 +345,8 @@ def boxes(
         if parent is None:
             continue
         start, end = world[parent], world[name]
-        radius = (0.1 if parent.startswith(("pelvis", "spine")) and "_" not in name else 0.04) * unit
+        radius = (0.1 * girth if parent.startswith(("pelvis", "spine")) and "_" not in name else 0.04) * unit
+        radius *= girth if parent.endswith("_hip") else 1.0
         low, high = np.minimum(start, end) - radius, np.maximum(start, end) + radius
         if parent.endswith(("_ankle", "_foot")):
             low[1], high[1] = 0.0, max(start[1], end[1]) + 0.01 * unit

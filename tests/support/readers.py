@@ -77,7 +77,12 @@ class GlbReader:
         return world
 
     def points(self, animation: int) -> np.ndarray:
-        """Locate the joints of the skin at every key of an animation: (keys, joints, 3); all keys at once."""
+        """Locate the joints of the skin at every key of an animation: (keys, joints, 3)."""
+        world = self.nodes(animation)
+        return np.stack([world[node] for node in self.file.skins[0].joints], axis=1)
+
+    def nodes(self, animation: int) -> dict[int, np.ndarray]:
+        """Locate every node at every key of an animation: node -> (keys, 3); all keys at once."""
         tracks, count = {}, 1
         for channel in self.file.animations[animation].channels:
             sampler = self.file.animations[animation].samplers[channel.sampler]
@@ -107,7 +112,7 @@ class GlbReader:
 
         for root in self.file.scenes[0].nodes:
             visit(root, np.eye(4))
-        return np.stack([world[node][:, :3, 3] for node in self.file.skins[0].joints], axis=1)
+        return {number: transforms[:, :3, 3] for number, transforms in world.items()}
 
     def joints(self, frame: int) -> np.ndarray:
         """Locate the joints of the skin at a key: (22, 3) metres."""

@@ -142,7 +142,7 @@ def add_retarget(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of `retarget`."""
     parser.add_argument("clip", type=Path, metavar="CLIP", help="saved as .npz, .json, .glb or .bvh")
     parser.add_argument(
-        "character", type=Path, metavar="CHARACTER", help="a skinned human, .glb or .vrm, or a .bvh skeleton"
+        "character", type=Path, metavar="CHARACTER", help="a skinned human, .glb, .gltf or .vrm, or a .bvh skeleton"
     )
     parser.add_argument("-o", "--output", type=Path, required=True, metavar="FILE", help=".glb to write, or .bvh")
     _add_map(parser)
@@ -279,8 +279,8 @@ def _add_sampling_and_output(parser: argparse.ArgumentParser) -> None:
         "--skeleton",
         type=Path,
         metavar="FILE",
-        help="a skinned human, .glb or .vrm: the .glb to write is this file with the clip as an animation; or a .bvh "
-        "skeleton for the .bvh to write",
+        help="a skinned human, .glb, .gltf or .vrm: the .glb to write is this file with the clip as an animation; or a "
+        ".bvh skeleton for the .bvh to write",
     )
     _add_map(parser)
     parser.add_argument(

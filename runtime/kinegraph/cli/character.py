@@ -30,6 +30,7 @@ def retarget(args: argparse.Namespace) -> int:
     record = {
         "file": str(args.output),
         "frames": shown.frames,
+        "scale": shown.motion().scale,
         "fps": shown.fps,
         "rig": character.humanoid.found_by,
         "bones": {joint: character.rig.names[node] for joint, node in character.humanoid.bones.items()},
@@ -47,9 +48,10 @@ def load_character(path: Path, names: Path | None) -> Character:
     """Read a character, with the joints of a map where there is one.
 
     Raises:
-        InvalidInputError: see `formats.character.read_character` and `read_names`.
+        InvalidInputError: see `formats.character.read_character` and `character_files.read_names`.
     """
-    from kinegraph.formats.character import read_character, read_names
+    from kinegraph.formats.character import read_character
+    from kinegraph.formats.character_files import read_names
 
     return read_character(path, None if names is None else read_names(names))
 

@@ -118,15 +118,24 @@ def split_container(data: bytes) -> tuple[Document, bytes]:
         start += 8 + size
     if length != len(data) or start != length or b"JSON" not in chunks:
         raise InvalidInputError("it is cut short or damaged")
-    if len(chunks[b"JSON"]) > _MAX_JSON:
+    return parse_document(chunks[b"JSON"]), chunks.get(b"BIN\0", b"")
+
+
+def parse_document(text: bytes) -> Document:
+    """Parse the JSON of a file.
+
+    Raises:
+        InvalidInputError: too large, or damaged.
+    """
+    if len(text) > _MAX_JSON:
         raise InvalidInputError(f"its JSON is larger than {_MAX_JSON >> 20} MiB")
     try:
-        document = json.loads(chunks[b"JSON"], parse_constant=_refuse_constant)
+        document = json.loads(text, parse_constant=_refuse_constant)
     except (ValueError, RecursionError) as error:
         raise InvalidInputError(f"its JSON is damaged ({str(error)[:200]})") from error
     if not isinstance(document, dict):
         raise InvalidInputError("its JSON is no object")
-    return document, chunks.get(b"BIN\0", b"")
+    return document
 
 
 def item(document: Document, kind: str, index: object) -> Document:

@@ -12,7 +12,7 @@ above and the rotation R_p of the parent node at rest, the local rotation is
     R_p^-1 D_p^-1 D R_p  times the local rotation at rest.
 
 Nodes in between (twist joints) and beyond (fingers, hair) stay as they rest. Lengths are scaled by that of the legs;
-feet then get the height and the standstill of ours by two-bone inverse kinematics.
+feet then get the height and the standstill of ours by two-bone inverse kinematics, and arms keep out of stout bodies.
 """
 
 from __future__ import annotations
@@ -23,8 +23,10 @@ from typing import Final
 
 import numpy as np
 
-from kinegraph.arrays import Floats
+from kinegraph.arrays import Floats, IntArray
 from kinegraph.errors import InvalidInputError
+from kinegraph.motion.body_shape import BodyShape, fit_shape, parts_of_nodes
+from kinegraph.motion.clearance import Segment, clear_arms, push_of_thigh, push_of_trunk
 from kinegraph.motion.humanoid import SIDES, Humanoid
 from kinegraph.motion.kinematics import SkeletonMotion
 from kinegraph.motion.postprocess import MAX_CORRECTION, MAX_EXTENSION, ease_corrections, find_contacts, two_bone_ik
@@ -75,6 +77,8 @@ class RigMotion:
     """Node -> (frames, 4) local quaternions w, x, y, z, with continuous signs."""
     translations: Mapping[int, Floats]
     """Node -> (frames, 3) local positions, in the units of the file."""
+    scale: float
+    """Units of the file per metre of ours."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,7 +101,13 @@ class _Body:
 
 
 def retarget(
-    rig: Rig, humanoid: Humanoid, floor: float, motion: SkeletonMotion, fps: float, root: int | None = None
+    rig: Rig,
+    humanoid: Humanoid,
+    floor: float,
+    motion: SkeletonMotion,
+    fps: float,
+    root: int | None = None,
+    shape: BodyShape | None = None,
 ) -> RigMotion:
     """Compute the tracks of a character for a clip.
 
@@ -108,6 +118,7 @@ def retarget(
         motion: of our skeleton.
         fps: its frames per second.
         root: node above the pelvis that is to carry travel and heading; None lets the pelvis carry them.
+        shape: how stout the character is, in the units of the file; arms are kept out of that.
 
     Returns:
         Local rotations of all nodes that follow a joint, and the position of the pelvis; with `root` also its tracks.
@@ -119,22 +130,56 @@ def retarget(
     turned, ours = _world_motion(motion)
     changes = _changes(body, turned, motion.rest_offsets)
     pelvis = _place(body, changes, ours, fps)
+    if shape is not None:
+        _keep_arms_out(body, changes, shape.scaled(1.0 / body.scale))
     return _tracks(body, changes, pelvis, ours, root)
+
+
+def measure_shape(rig: Rig, humanoid: Humanoid, floor: float, points: Floats, nodes: IntArray) -> BodyShape | None:
+    """Measure how stout a character is.
+
+    Args:
+        rig, humanoid, floor: as for `retarget`.
+        points: (n, 3) of the skin at rest, in the world of the file.
+        nodes: (n,) that each is bound to.
+
+    Returns:
+        Its shape, in the units of the file; None where the skin says too little.
+    """
+    stand, _, _, below = _rest_frame(rig, humanoid, floor)
+    joints, skin = (rotate(stand, each) - below for each in (rig.positions, points))
+    if not (np.isfinite(joints).all() and np.isfinite(skin).all()):
+        return None
+    parts = parts_of_nodes(rig, humanoid.bones, humanoid.spine, joints)
+    names = np.array([parts.get(node, "") for node in range(len(joints))])
+    return fit_shape(skin, names[nodes], joints, humanoid.bones)
+
+
+def _rest_frame(rig: Rig, humanoid: Humanoid, floor: float) -> tuple[Floats, Floats, Floats, Floats]:
+    """Find the frame of a resting character.
+
+    Returns:
+        Rotation of the file's world into our frame, heading, nodes (nodes, 3) so rotated, and the point (3,) among
+        these on the floor below the hips.
+    """
+    bones = humanoid.bones
+    stand, face, upright = _body_frame(rig.positions, bones)
+    points = rotate(stand, rig.positions)
+    below = points[[bones[f"{side}_hip"] for side in SIDES]].mean(axis=0) * HORIZONTAL
+    below[1] = floor if upright else points[list(bones.values()), 1].min()
+    return stand, face, points, below
 
 
 def _measure(rig: Rig, humanoid: Humanoid, floor: float, offsets: Floats) -> _Body:
     """Bring a resting character into our frame."""
     bones = humanoid.bones
-    stand, face, upright = _body_frame(rig.positions, bones)
-    points = rotate(stand, rig.positions)
-    hips = [bones[f"{side}_hip"] for side in SIDES]
+    stand, face, points, below = _rest_frame(rig, humanoid, floor)
     legs = [np.diff(points[[bones[f"{side}_{joint}"] for joint in ("hip", "knee", "ankle")]], axis=0) for side in SIDES]
     leg = float(np.linalg.norm(legs, axis=-1).sum() / 2)
     if not np.isfinite(points).all() or leg < 1e-9:
         raise InvalidInputError("its legs have no length: hip, knee and ankle are in one place")
     scale = leg / float(np.linalg.norm(offsets[[4, 7, 5, 8]], axis=-1).sum() / 2)
-    below = points[hips].mean(axis=0) * HORIZONTAL
-    below[1] = floor if upright else points[list(bones.values()), 1].min()
+    hips = [bones[f"{side}_hip"] for side in SIDES]
     origin = rig.positions[hips].mean(axis=0) * HORIZONTAL + (0.0, floor, 0.0)
     return _Body(rig, bones, humanoid.spine, (points - below) / scale, stand, face, scale, origin)
 
@@ -324,6 +369,49 @@ class _Foot:
         changes[lower] = multiply(shortest_rotation(ankle - knee, new_ankle - new_knee), changes[lower])
 
 
+def _keep_arms_out(body: _Body, changes: dict[int, Floats], shape: BodyShape) -> None:
+    """Swing arms that would be in the trunk or the thighs; replaces changes of upper arms and forearms."""
+    bones, points, segments = body.bones, body.points, _Segments(body, changes)
+    pelvis = bones["pelvis"]
+    pushes = [push_of_trunk(shape, segments[pelvis], segments[body.spine[-1] if body.spine else pelvis])]
+    for side, radii in zip(SIDES, shape.thighs, strict=True):
+        if radii.all():
+            thigh = segments[bones[f"{side}_hip"]]
+            pushes.append(push_of_thigh(radii, shape.forearm, thigh, points[bones[f"{side}_knee"]]))
+    upper, fore = ([segments[bones[f"{side}_{joint}"]] for side in SIDES] for joint in ("shoulder", "elbow"))
+    shoulders, elbows = (np.stack([each.at for each in limbs], axis=1) for limbs in (upper, fore))
+    wrists = np.stack([f.point(points[bones[f"{side}_wrist"]]) for f, side in zip(fore, SIDES, strict=True)], axis=1)
+    palms = np.stack([f.point(palm) for f, palm in zip(fore, shape.palms, strict=True)], axis=1)
+    new_elbows, new_wrists = clear_arms(pushes, shoulders, elbows, wrists, palms)
+    if new_elbows is elbows:
+        return
+    for index, side in enumerate(SIDES):
+        for joint, bone, new in (
+            ("shoulder", elbows - shoulders, new_elbows - shoulders),
+            ("elbow", wrists - elbows, new_wrists - new_elbows),
+        ):
+            node = bones[f"{side}_{joint}"]
+            changes[node] = multiply(shortest_rotation(bone[:, index], new[:, index]), changes[node])
+
+
+class _Segments(dict[int, Segment]):
+    """Node that follows a joint -> where it is in each frame, relative to the pelvis; filled in as asked for."""
+
+    def __init__(self, body: _Body, changes: Mapping[int, Floats]) -> None:
+        super().__init__()
+        self._body, self._changes = body, changes
+
+    def __missing__(self, node: int) -> Segment:
+        rest, turn = self._body.points[node], self._changes[node]
+        at: Floats = np.zeros((len(turn), 3))
+        if node != self._body.bones["pelvis"]:
+            rig = self._body.rig
+            above = next(a for a in rig.ancestors(rig.parents[node]) if a in self._changes)
+            at = self[above].point(rest)
+        self[node] = Segment(rest, at, turn)
+        return self[node]
+
+
 def _tracks(body: _Body, changes: Mapping[int, Floats], pelvis: Floats, ours: Floats, root: int | None) -> RigMotion:
     """Turn changes in our frame into local rotations and positions of nodes."""
     rig, first = body.rig, body.bones["pelvis"]
@@ -353,7 +441,7 @@ def _tracks(body: _Body, changes: Mapping[int, Floats], pelvis: Floats, ours: Fl
     step = np.stack(list(steps.values()))
     local = normalised(multiply(multiply(multiply(conjugate(above_all), step), above_all), rest))
     local = continuous_signs(np.moveaxis(local, 0, 1))
-    return RigMotion({node: local[:, index] for index, node in enumerate(steps)}, translations)
+    return RigMotion({node: local[:, index] for index, node in enumerate(steps)}, translations, body.scale)
 
 
 def _into(rig: Rig, parent: int, points: Floats) -> Floats:

@@ -10,7 +10,7 @@ from typing import Any, Final
 from kinegraph.clip import Clip
 from kinegraph.errors import InvalidInputError
 from kinegraph.formats import check_names, check_root
-from kinegraph.formats.character import DEFAULT_FPS, read_character
+from kinegraph.formats.character import DEFAULT_FPS, READ_SUFFIXES, read_character
 from kinegraph.playground.schemas import FileRequest, parse_clip_request, parse_file_options
 from kinegraph.validation import short_repr
 
@@ -73,7 +73,7 @@ def _character(name: object, folder: Path | None) -> Path:
     """Find a character in the server's folder; a request cannot name a path."""
     if folder is None:
         raise InvalidInputError("this server has no characters; start it with --characters FOLDER")
-    known = sorted(path.name for path in folder.iterdir() if path.suffix.lower() in (".glb", ".vrm", ".bvh"))
+    known = sorted(path.name for path in folder.iterdir() if path.suffix.lower() in READ_SUFFIXES)
     if not isinstance(name, str) or name not in known:
         raise InvalidInputError(
             f"there is no character {short_repr(name)}; there are {', '.join(known)[:400] or 'none'}"
