@@ -21,7 +21,7 @@ import numpy as np
 import onnxruntime
 
 from kinegraph.arrays import FloatArray
-from kinegraph.bundle.contract import slots_seen
+from kinegraph.bundle.released_contract import slots_seen
 from kinegraph.bundle.sessions import run_model
 from kinegraph.conditioning import Conditions
 from kinegraph.denoising import LatentSampler, OnLatent, sample_hierarchy

@@ -1,7 +1,7 @@
 """From semantic graphs to the conditions of released networks (GraphMotion's code; MLD's has the sentence alone).
 
-They have room for `contract.SLOTS`: one sentence, 4 actions, 8 specifics. Guidance leads away from the same graph with
-the words of an empty caption, so that every graph is encoded twice:
+They have room for `released_contract.SLOTS`: one sentence, 4 actions, 8 specifics. Guidance leads away from the same
+graph with the words of an empty caption, so that every graph is encoded twice:
 
     caption --text encoder--> features of its nodes       --graph attention--> conditional half
     ""      --table--> states at the same word pieces     --graph attention--> unconditional half
@@ -18,7 +18,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from kinegraph.arrays import FloatArray, IntArray
-from kinegraph.bundle.contract import KINDS, SLOT_COUNT, SLOTS
+from kinegraph.bundle.contract import KINDS
+from kinegraph.bundle.released_contract import SLOT_COUNT, SLOTS
 from kinegraph.bundle.sessions import run_model
 from kinegraph.bundle.tables import EMPTY_CAPTION
 from kinegraph.conditioning import (

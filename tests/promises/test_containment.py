@@ -9,8 +9,8 @@ from pathlib import Path
 import pytest
 
 from kinegraph import BundleError, BundleFormatError, BundleIntegrityError
-from kinegraph.bundle.contract import contracts
-from kinegraph.bundle.manifest import FileSpec, graph_files, optional_graph_files
+from kinegraph.bundle.contract import contracts, graph_files, optional_graph_files
+from kinegraph.bundle.manifest import FileSpec
 from kinegraph.bundle.reader import read_bundle
 from support.opened_paths import opened_paths
 from support.synthetic_bundle import (

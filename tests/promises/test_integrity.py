@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from kinegraph import BundleIntegrityError, MotionPipeline
-from kinegraph.bundle.manifest import optional_graph_files
+from kinegraph.bundle.contract import optional_graph_files
 from kinegraph.bundle.reader import DEFAULT_BUNDLE, MANIFEST, read_bundle, read_manifest, text_files_folder
 from kinegraph.bundle.verify import verify_bundle
 from support.opened_paths import opened_paths

@@ -9,7 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from kinegraph.bundle.manifest import FileSpec, optional_graph_files
+from kinegraph.bundle.contract import optional_graph_files
+from kinegraph.bundle.manifest import FileSpec
 from kinegraph.bundle.reader import MAX_FILE_BYTES, read_bundle
 from kinegraph.errors import BundleError, BundleFormatError, BundleIntegrityError
 from support.opened_paths import opened_paths

@@ -223,10 +223,10 @@ def test_info_of_a_bundle_without_a_vocabulary_says_so(bundle: Path, capsys: pyt
 def test_the_help_of_generate_lists_what_the_default_bundle_knows(capsys: pytest.CaptureFixture[str]) -> None:
     known = read_bundle().vocabulary
     assert known is not None
-    start = time.perf_counter()
+    start = time.process_time()
     with pytest.raises(SystemExit):
         cli.main(["generate", "--help"])
-    assert time.perf_counter() - start < 0.15
+    assert time.process_time() - start < 1.0  # no model is opened
     shown = " ".join(capsys.readouterr().out.split())
     actions, styles = (
         [phrase.wordings[0] for phrase in known.facts.phrases if phrase.kind == kind] for kind in ("action", "style")

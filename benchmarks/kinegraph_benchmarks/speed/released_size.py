@@ -30,7 +30,8 @@ from torch import Tensor, nn
 
 from kinegraph import MotionPipeline
 from kinegraph.bench import GRAPH, machine
-from kinegraph.bundle.contract import LEVELS, GraphContract, LevelSpec, released_level
+from kinegraph.bundle.contract import LEVELS, GraphContract, LevelSpec
+from kinegraph.bundle.released_contract import released_level
 from kinegraph.bundle.sessions import available_cpus, open_session, session_options
 from kinegraph_benchmarks.common.arguments import add_arguments, benchmark_parser
 from kinegraph_benchmarks.common.report_io import write_report

@@ -23,8 +23,8 @@ from kinegraph.bundle.contract import (
     GraphContract,
     LevelSpec,
     TensorSpec,
-    released_contracts,
 )
+from kinegraph.bundle.released_contract import released_contracts
 from kinegraph_export.fused import MICROSOFT, emit_node, fuse_operators
 from kinegraph_export.graphs import Precision, dynamic_shapes, random_inputs
 from kinegraph_export.official.checkpoint import GraphMotionModels, MldModels

@@ -19,7 +19,6 @@ from dataclasses import dataclass, replace
 from typing import Final, Literal, Protocol
 
 from kinegraph.errors import BundleFormatError
-from kinegraph.graph import ROLES
 
 FORMAT_VERSION: Final = 5
 """Version of the format that is written; `OLDEST_VERSION` on are read. Format 4 has no graphs of constraints."""
@@ -353,97 +352,18 @@ def contracts(
     return {graph.name: replace(graph, version=version) for graph in graphs}
 
 
-# Released networks: latent, time and conditions in one sequence ("concat")
+# Families of networks
 
 Family = Literal["kinegraph", "graphmotion", "graphmotion-released", "mld"]
 """Networks of a bundle, and how a sentence reaches them.
 
 - "kinegraph": denoisers with cross-attention to any number of nodes; composes inside its layers.
-- "graphmotion": the released GraphMotion, with `SLOTS` for nodes; word pieces are found by characters, and edges have
-  their types in both halves of guidance, as in its training.
+- "graphmotion": the released GraphMotion, with slots for nodes (`released_contract.SLOTS`); word pieces are found by
+  characters, and edges have their types in both halves of guidance, as in its training.
 - "graphmotion-released": the same networks as its evaluation runs them, so that published figures hold: the edges of
   specifics lose their types in the conditional half, and word k of the caption reads token k + 1.
 - "mld": the released MLD, one level that sees the sentence alone.
 """
-
-SLOTS: Final[Mapping[str, int]] = {"motion": 1, "action": 4, "specific": 8}
-"""Nodes of each kind that released networks have room for; further ones are left out."""
-
-SLOT_COUNT: Final = sum(SLOTS.values())
-
-
-def slots_seen(level: LevelSpec) -> int:
-    """Count the slots that a level of a released network sees; they are the first ones."""
-    return sum(SLOTS[kind] for kind in level.nodes)
-
-
-def released_graph_encoder(text_width: int) -> GraphContract:
-    """Declare the graph attention of the released GraphMotion, over all `SLOTS` at once.
-
-    `adjacency` is 1 where there is an edge, `relations` where there is one of a type of `graph.ROLES`.
-
-    Args:
-        text_width: D.
-    """
-    slots = SLOT_COUNT
-    inputs = (
-        TensorSpec("nodes", ("B", slots, text_width)),
-        TensorSpec("adjacency", ("B", slots, slots)),
-        TensorSpec("relations", ("B", len(ROLES), slots, slots)),
-    )
-    return GraphContract("graph_encoder", inputs, (TensorSpec("nodes_out", ("B", slots, text_width)),))
-
-
-def released_level(name: str, level: LevelSpec, text_width: int, coarse: LevelSpec | None) -> tuple[GraphContract, ...]:
-    """Declare the three graphs of a released level: condition tokens, time tokens, denoiser.
-
-    Condition tokens (the coarser latent's first, positions included) are computed once per level, time tokens once for
-    all K steps. `mask` is 1 on the conditions that a row has.
-
-    Args:
-        name: of the level.
-        level: dimensions of that level.
-        text_width: D.
-        coarse: the coarser level, whose latent is an input; None at the coarsest.
-    """
-    nodes = (TensorSpec("nodes", ("R", slots_seen(level), text_width)),)
-    latents = () if coarse is None else (TensorSpec("coarse", ("R", coarse.tokens, coarse.latent_width)),)
-    count = slots_seen(level) + (0 if coarse is None else coarse.tokens)
-    latent = ("R", level.tokens, level.latent_width)
-    condition = TensorSpec("condition", ("R", count, level.width))
-    inputs = (
-        TensorSpec("latent", latent),
-        TensorSpec("time", ("R", level.width)),
-        condition,
-        TensorSpec("mask", ("R", count)),
-    )
-    timestep, time = TensorSpec("timestep", ("K",), INT), TensorSpec("time", ("K", level.width))
-    return (
-        GraphContract(f"context_{name}", nodes + latents, (condition,)),
-        GraphContract(f"modulation_{name}", (timestep,), (time,)),
-        GraphContract(f"denoiser_{name}", inputs, (TensorSpec("noise", latent),)),
-    )
-
-
-def released_contracts(
-    family: Family, levels: Mapping[str, LevelSpec], text_width: int, features: int
-) -> dict[str, GraphContract]:
-    """Declare every graph of a bundle with released networks, as `contracts` does for our own.
-
-    Args:
-        family: not "kinegraph".
-        levels: one spec for each level that the family has (`levels_of`).
-        text_width: D.
-        features: F, width of the feature layout.
-    """
-    graphs = [text_encoder(text_width), *([] if family == "mld" else [released_graph_encoder(text_width)])]
-    coarse: LevelSpec | None = None
-    for name in levels_of(family):
-        graphs += released_level(name, levels[name], text_width, coarse)
-        coarse = levels[name]
-    graphs.append(decoder("decoder", levels[LEVELS[-1]], features))
-    graphs += [decoder(graph, levels[level], features) for level, graph in COARSE_DECODERS.items() if level in levels]
-    return {graph.name: graph for graph in graphs}
 
 
 def levels_of(family: Family) -> tuple[str, ...]:
@@ -481,6 +401,47 @@ OPTIONAL_GRAPHS: Final[tuple[str, ...]] = (
     ENCODER,
 )
 """Names of all graphs that a bundle may have; each is read at its first use."""
+
+
+# Files
+
+REQUIRED_TABLES: Final[frozenset[str]] = frozenset(("tokenizer.json", "tables.npz"))
+"""Files that every bundle has besides its graphs."""
+OPTIONAL_TABLES: Final[frozenset[str]] = frozenset(("parser.bin", "arguments.npz", "vocabulary.npz"))
+"""Files besides the graphs that a bundle works without, with limits.
+
+- Without parser.bin it takes graphs, but no plain sentences.
+- Without arguments.npz its parser labels arguments by rules.
+- Without vocabulary.npz it cannot tell words that it was never shown.
+"""
+
+
+def graph_files(version: int = FORMAT_VERSION, family: Family = "kinegraph") -> tuple[str, ...]:
+    """List the files of the graphs that a bundle of a format version must have, in order of execution."""
+    return tuple(graph_file(graph, version) for graph in graphs_of(family))
+
+
+def optional_graph_files(version: int = FORMAT_VERSION, family: Family = "kinegraph") -> frozenset[str]:
+    """List the files of the graphs that a bundle of a format version works without, with limits.
+
+    - Without the coarse decoders it shows no clip before the last level is done.
+    - Without the graphs of adaptive gradient descent it refuses to compose with `agd`.
+    - Without the gradients of the decoders it refuses constraints; without the encoder, edits of clips.
+    """
+    return frozenset(graph_file(graph, version) for graph in optional_graphs_of(family))
+
+
+def agd_files(version: int = FORMAT_VERSION) -> frozenset[str]:
+    """List the files of the graphs of adaptive gradient descent, of which a bundle has all or none."""
+    return frozenset(graph_file(graph, version) for graph in (*AGD_CONTEXTS.values(), *AGD_DENOISERS.values()))
+
+
+def gradient_files(version: int = FORMAT_VERSION) -> frozenset[str]:
+    """List the files of the decoders' gradients, of which a bundle has all or none."""
+    return frozenset(graph_file(graph, version) for graph in DECODER_GRADIENTS.values())
+
+
+# Sessions
 
 
 def check_signature(inputs: Iterable[Tensor], outputs: Iterable[Tensor], contract: GraphContract) -> None:

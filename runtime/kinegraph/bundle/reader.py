@@ -22,7 +22,8 @@ from types import MappingProxyType
 from typing import Final
 
 from kinegraph.arrays import FloatArray
-from kinegraph.bundle.manifest import FileSpec, Manifest, decode_manifest, graph_files, optional_graph_files
+from kinegraph.bundle.contract import graph_files, optional_graph_files
+from kinegraph.bundle.manifest import FileSpec, Manifest, decode_manifest
 from kinegraph.bundle.onnx_inspect import check_self_contained
 from kinegraph.bundle.tables import read_tables
 from kinegraph.bundle.vocabulary import FILE as VOCABULARY

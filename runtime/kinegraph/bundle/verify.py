@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from kinegraph.bundle.manifest import optional_graph_files
+from kinegraph.bundle.contract import optional_graph_files
 from kinegraph.bundle.onnx_inspect import summarise
 from kinegraph.bundle.reader import Bundle, read_bundle
 from kinegraph.bundle.sessions import open_sessions
