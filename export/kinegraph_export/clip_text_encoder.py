@@ -15,7 +15,6 @@ b captions, t tokens, d width.
 from __future__ import annotations
 
 import argparse
-import json
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -30,14 +29,13 @@ from kinegraph.arrays import FloatArray
 from kinegraph.bundle.contract import PADDING_BIAS, text_encoder
 from kinegraph.errors import InvalidInputError
 from kinegraph.validation import short_repr
+from kinegraph_export.model_folder import find_weights, read_settings
 from kinegraph_export.onnx_export import serialise, to_onnx
 from kinegraph_export.parity import InputGenerator, max_difference, relative_error
 from kinegraph_export.tensor_files import load_weights, read_tensors
 from kinegraph_export.text_encoder import PRECISIONS, quantise_text_encoder
 from kinegraph_training.models.transformer import attend, merge_heads, split_heads
 
-WEIGHT_FILES = ("model.safetensors", "pytorch_model.bin")
-"""In the order in which they are looked for."""
 TEXT_PARTS = ("text_model", "text_projection")
 """First parts of the names of the text tower; the rest is the image tower."""
 BEGIN, END = "<|startoftext|>", "<|endoftext|>"
@@ -153,13 +151,7 @@ def load_clip(folder: Path) -> ClipText:
         InvalidInputError: no such folder, files are missing, they are of another kind of model, or the text feature is
             not as wide as the states; says which.
     """
-    if not folder.is_dir():
-        raise InvalidInputError(
-            f"{folder} is no folder; name that of openai/clip-vit-large-patch14, with config.json and {WEIGHT_FILES[0]}"
-        )
-    weights = next((folder / name for name in WEIGHT_FILES if (folder / name).is_file()), None)
-    if weights is None:
-        raise InvalidInputError(f"{folder} has none of {', '.join(WEIGHT_FILES)}; download the model's weights into it")
+    weights = find_weights(folder, "openai/clip-vit-large-patch14")
     tensors = {
         name: value
         for name, value in read_tensors(weights, TEXT_PARTS).items()
@@ -196,7 +188,7 @@ def read_config(folder: Path, tensors: dict[str, Tensor]) -> ClipConfig:
     (vocabulary, width), (positions, _), (feed_forward, _), (projection, _) = (
         tensors[name].shape for name in shapes.values()
     )
-    settings = _text_settings(folder / "config.json")
+    settings = _text_settings(folder)
     heads = int(settings.get("num_attention_heads", width // HEAD_WIDTH))
     activation = settings.get("hidden_act", "quick_gelu")
     if activation not in ACTIVATIONS:
@@ -208,14 +200,11 @@ def read_config(folder: Path, tensors: dict[str, Tensor]) -> ClipConfig:
     return ClipConfig(vocabulary, positions, width, layers, heads, feed_forward, projection, epsilon, activation)
 
 
-def _text_settings(path: Path) -> dict[str, Any]:
-    try:
-        content = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
-        raise InvalidInputError(f"{path} cannot be read: {error}; it comes with the model's weights") from error
-    settings = content.get("text_config", content) if isinstance(content, dict) else None
+def _text_settings(folder: Path) -> dict[str, Any]:
+    content = read_settings(folder)
+    settings = content.get("text_config", content)
     if not isinstance(settings, dict):
-        raise InvalidInputError(f"{path} is no configuration of CLIP; it comes with the model's weights")
+        raise InvalidInputError(f"{folder}: config.json is not CLIP's; it comes with the model's weights")
     return settings
 
 

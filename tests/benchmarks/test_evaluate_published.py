@@ -16,11 +16,14 @@ from kinegraph.errors import InvalidInputError
 from kinegraph.motion.humanml3d import humanml3d_from_joints
 from kinegraph_benchmarks.common.guo_evaluators import TAGS, GuoEvaluators, WordVectors
 from kinegraph_benchmarks.common.published_test import Caption, PublishedClip, draw_items
+from kinegraph_benchmarks.common.tmr_evaluator import COLUMNS as TMR_COLUMNS
 from kinegraph_benchmarks.quality import evaluate_published as command
 from kinegraph_export.import_evaluators import import_evaluators
+from kinegraph_training.data.humanml3d_reader import SETS
 from support.guo_evaluators import WORDS, evaluator_tensors, write_evaluator_stats, write_glove
 from support.motions import walk
 from support.published_sets import write_guo_set
+from support.tmr import write_tmr_graphs
 from support.toy import with_parser
 
 
@@ -112,3 +115,21 @@ def test_wrong_files_are_told(files: dict[str, Path], tmp_path: Path, capsys: py
     kit = write_guo_set(tmp_path / "KIT-ML", {}, {f"{n:05d}": np.zeros((60, 251)) for n in range(3)})
     assert run({"kit": kit, **{name: path for name, path in files.items() if name != "humanml3d"}}) == 2
     assert "the evaluators have 263 features, KIT-ML has 251" in capsys.readouterr().err
+
+
+def test_tmr_adds_its_columns_and_changes_no_other(
+    files: dict[str, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    write_tmr_graphs(tmp_path / "tmr")
+    arguments = ("--repeats", 1, "--many", 0, "--clips", 2)
+    for name, more in (("plain", ()), ("tmr", ("--tmr", tmp_path / "tmr"))):
+        assert run(files, "--out", tmp_path / f"{name}.json", *arguments, *more) == 0
+    assert "| Multimodality | TMR R@1 | TMR R@2 | TMR R@3 | TMR M2T | TMR M2M |" in capsys.readouterr().out
+    plain, with_tmr = (json.loads((tmp_path / f"{name}.json").read_text()) for name in ("plain", "tmr"))
+    for shown in ("captured", "generated"):
+        assert {name: with_tmr[shown][name] for name in plain[shown]} == plain[shown]
+        assert set(with_tmr[shown]) == set(plain[shown]) | set(TMR_COLUMNS)
+    assert with_tmr["captured"]["tmr_m2m"]["mean"] == pytest.approx(1.0, abs=1e-6)
+    assert 0.0 <= with_tmr["generated"]["tmr_m2m"]["mean"] < 0.9999
+    with pytest.raises(InvalidInputError, match="TMR reads the 263 features of HumanML3D, KIT-ML has 251"):
+        command.load_tmr(tmp_path / "tmr", SETS["--kit"])

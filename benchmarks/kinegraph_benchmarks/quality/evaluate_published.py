@@ -10,6 +10,9 @@ finest level alone is scored, whereas GraphMotion's released code scores a blend
 
 A bundle of the data set's own features is scored on what its decoder returns. Another bundle is scored on the features
 of its joints, retargeted to the body of HumanML3D as that data set's own code does. Sentences are not split at "then".
+
+With `--tmr`, TMR (Petrovich et al., 2023) scores the same clips: R-precision in groups of its own order, and how near
+motions are to their sentences (M2T) and to the captured clips (M2M), (1 + cos) / 2.
 """
 
 from __future__ import annotations
@@ -21,6 +24,7 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from kinegraph import MotionPipeline
 from kinegraph.arrays import FloatArray
@@ -33,6 +37,9 @@ from kinegraph_benchmarks.common.guo_evaluators import GuoEvaluators, WordVector
 from kinegraph_benchmarks.common.published_test import Caption, PublishedClip, draw_items, read_test_clips
 from kinegraph_benchmarks.common.report_io import write_report
 from kinegraph_benchmarks.common.scores import average_repeats
+from kinegraph_benchmarks.common.tmr_evaluator import COLUMNS as TMR_COLUMNS
+from kinegraph_benchmarks.common.tmr_evaluator import TmrEvaluator
+from kinegraph_benchmarks.common.tmr_evaluator import score as score_by_tmr
 from kinegraph_training.data.humanml3d_reader import SETS, PublishedSet
 from kinegraph_training.metrics import diversity, frechet_distance, matching_distance, multimodality, r_precision
 
@@ -99,8 +106,7 @@ def score(
         rng: draws groups and pairs.
     """
     moved, told = evaluators.embed_motions(motions), evaluators.embed_texts([caption.tokens for caption in captions])
-    order = rng.permutation(len(moved))
-    groups = [order[start : start + GROUP] for start in range(0, len(order) - GROUP + 1, GROUP)] or [order]
+    groups = draw_groups(len(moved), rng)
     ranks = np.mean([r_precision(told[rows], moved[rows]) for rows in groups], axis=0)
     return {
         **{f"r_precision_{rank + 1}": float(value) for rank, value in enumerate(ranks)},
@@ -108,6 +114,12 @@ def score(
         "mm_dist": matching_distance(told, moved),
         "diversity": diversity(moved, rng, PAIRS),
     }
+
+
+def draw_groups(count: int, rng: np.random.Generator) -> list[NDArray[np.int64]]:
+    """Divide rows into groups of 32 in one random order; a partial one is left out, unless it is the only one."""
+    order = rng.permutation(count)
+    return [order[start : start + GROUP] for start in range(0, count - GROUP + 1, GROUP)] or [order]
 
 
 def score_many(
@@ -124,8 +136,26 @@ def score_many(
     return {"multimodality": multimodality(np.stack(takes), rng)}
 
 
+def score_both_by_tmr(
+    tmr: TmrEvaluator,
+    captions: Sequence[Caption],
+    crops: Sequence[FloatArray],
+    motions: Sequence[FloatArray],
+    rng: np.random.Generator,
+) -> tuple[dict[str, float], dict[str, float]]:
+    """Score captured and generated clips of the same captions by TMR, in the same groups."""
+    groups = draw_groups(len(crops), rng)
+    told, shown = tmr.embed_sentences([caption.text for caption in captions]), tmr.embed_motions(crops)
+    return score_by_tmr(told, shown, shown, groups), score_by_tmr(told, tmr.embed_motions(motions), shown, groups)
+
+
 def evaluate(
-    clips: Sequence[PublishedClip], generate: Generator, evaluators: GuoEvaluators, repeats: int, many: int
+    clips: Sequence[PublishedClip],
+    generate: Generator,
+    evaluators: GuoEvaluators,
+    repeats: int,
+    many: int,
+    tmr: TmrEvaluator | None = None,
 ) -> dict[str, Any]:
     """Measure captured and generated clips in every repeat; returns what is written."""
     captured, generated = [], []
@@ -141,23 +171,47 @@ def evaluate(
                 print(f"\rrepeat {repeat + 1} of {repeats}: {row + 1} of {len(clips)}", end="", file=sys.stderr)
         scores = score(motions, captions, reference, evaluators, rng)
         generated.append(scores | score_many(generate, clips, evaluators, rng, many))
+        if tmr is not None:
+            # draws of its own, so that the papers' columns are the same with TMR and without
+            own_rng = np.random.Generator(np.random.PCG64(repeat))
+            for rows, more in zip(
+                (captured, generated), score_both_by_tmr(tmr, captions, crops, motions, own_rng), strict=True
+            ):
+                rows[-1] |= more
         print(f"repeat {repeat + 1} of {repeats}: FID {generated[-1]['fid']:.3f}", file=sys.stderr)
     return {"captured": average_repeats(captured), "generated": average_repeats(generated)}
 
 
+def load_tmr(folder: Path | None, data: PublishedSet) -> TmrEvaluator | None:
+    """Load TMR if its folder is given.
+
+    Raises:
+        InvalidInputError: files are missing, or it does not read the features of this data set.
+    """
+    if folder is None:
+        return None
+    tmr = TmrEvaluator(folder)
+    if tmr.features != data.features:
+        raise InvalidInputError(
+            f"TMR reads the {tmr.features} features of HumanML3D, {data.name} has {data.features}: leave out --tmr"
+        )
+    return tmr
+
+
 def markdown_table(result: dict[str, Any]) -> str:
     """Format a result as the papers do, captured clips first."""
+    columns = COLUMNS | (TMR_COLUMNS if "tmr" in result else {})
     lines = [
         f"{result['model']} on {result['data']}: {result['clips']} clips, {result['repeats']} repeats, evaluators "
         f"{result['evaluators']} (mean ± 1.96 s.e.)",
         "",
-        "| | " + " | ".join(COLUMNS.values()) + " |",
-        "|---|" + "---|" * len(COLUMNS),
+        "| | " + " | ".join(columns.values()) + " |",
+        "|---|" + "---|" * len(columns),
     ]
     for name in ("captured", "generated"):
         cells = [
             f"{row['mean']:.3f} ± {row['plus_minus']:.3f}" if (row := result[name].get(column)) else "-"
-            for column in COLUMNS
+            for column in columns
         ]
         lines.append(f"| {name} | " + " | ".join(cells) + " |")
     return "\n".join(lines) + "\n"
@@ -174,6 +228,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         "--evaluator-stats", type=Path, required=True, help="folder of the evaluators' mean.npy, std.npy"
     )
     parser.add_argument("--glove", type=Path, required=True, help="folder of our_vab_data.npy and its lists")
+    parser.add_argument("--tmr", type=Path, help="folder that import_tmr wrote: further columns, of HumanML3D")
     add_arguments(parser, "bundle", "out", optional=("out",), repeats=20)
     parser.add_argument("--clips", type=int, help="test clips at most, to try it; the papers take all")
     parser.add_argument(
@@ -188,6 +243,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             raise InvalidInputError(
                 f"the evaluators have {evaluators.features} features, {data.name} has {data.features}"
             )
+        tmr = load_tmr(options.tmr, data)
         clips, problems = read_test_clips(folder, data, options.clips)
         for problem in problems:
             print(f"left out: {problem}", file=sys.stderr)
@@ -195,7 +251,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         offsets = (
             rest_offsets(joints_from_humanml3d(clips[0].features)[0]) if data.features == 263 else np.zeros((22, 3))
         )
-        scores = evaluate(clips, Generator(pipe, data, offsets), evaluators, options.repeats, options.many)
+        generate = Generator(pipe, data, offsets)
+        scores = evaluate(clips, generate, evaluators, options.repeats, options.many, tmr)
     except KinegraphError as error:
         print(f"evaluate_published: error: {error}", file=sys.stderr)
         return 2
@@ -205,6 +262,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         "clips": len(clips),
         "repeats": options.repeats,
         "evaluators": evaluators.version,
+        **({"tmr": tmr.version} if tmr else {}),
         **scores,
     }
     write_report(options.out, result, markdown_table(result))
