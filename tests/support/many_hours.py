@@ -2,8 +2,10 @@
 
     PYTHONPATH=tests:benchmarks python tests/support/many_hours.py --hours 300 --work /tmp/hours
 
-The motion is a few walks, turned: cheap to make, and as large as any. Training is what the first batches take: listing
-the clips, measuring the normalisation, and drawing batches of features for the autoencoder.
+The motion is a few walks, turned: cheap to make, and as large as any. Training is what the first batches take: for the
+autoencoder listing the clips, measuring the normalisation, and drawing features; for the denoisers captions, tables,
+latents, and drawing all of them. Captions are not parsed and encoded but made, at a twelfth of the width, which would
+take a day and 10 GB of disk; autoencoders have untrained weights, few channels, and latents as large as any.
 """
 
 from __future__ import annotations
@@ -12,9 +14,11 @@ import argparse
 import json
 import resource
 import time
+from collections.abc import Iterator, Sequence
 from functools import lru_cache
 from multiprocessing import get_context
 from pathlib import Path
+from unittest import mock
 
 import numpy as np
 
@@ -26,6 +30,8 @@ from support.motions import walk
 SECONDS = 8
 FRAMES = 20 * SECONDS
 BATCHES = 200
+NODES, WIDTH = 20, 32
+"""Of the graph of a made caption; the width of a real one is 384."""
 
 
 @lru_cache(maxsize=1)
@@ -58,9 +64,73 @@ def train(work: Path, hours: float) -> None:
     dataset = training_set(work / "data", preset.data, None)
     val = validation_set(work / "data", "val", preset.data, dataset.mean, dataset.std)
     batches, _ = make_loaders(dataset, val, preset, "motion")
-    for number, _ in enumerate(batches):
+    draw(batches)
+
+
+def draw(batches: object) -> None:
+    for number, _ in enumerate(batches):  # type: ignore[arg-type, var-annotated]
         if number == BATCHES:
             break
+
+
+def make_graphs(captions: Sequence[str], *_: object) -> Iterator[object]:
+    """Make graphs in place of those of captions: a sentence, two actions, and what hangs on them."""
+    from kinegraph.conditioning import GraphArrays
+
+    rng = np.random.Generator(np.random.PCG64(len(captions)))
+    relation = np.where(np.eye(NODES, dtype=bool), 11, -1)
+    relation[0, 1:3] = relation[1:3, 0] = 10
+    kind = np.array([0, 1, 1, *[2] * (NODES - 3)])
+    for _caption in captions:
+        nodes = rng.standard_normal((NODES, WIDTH), dtype=np.float32)
+        weights = np.ones((NODES, NODES), dtype=np.float32)
+        owner = np.arange(NODES)
+        yield GraphArrays(nodes, relation, weights, kind, owner, np.ones(NODES, dtype=np.float32), owner)
+
+
+def write_autoencoders(run: Path) -> None:
+    """Write autoencoders whose latents are as large as those of the edge preset."""
+    import torch
+
+    from kinegraph_training.config import read_preset
+    from kinegraph_training.models.vae import MotionVae, VaeConfig
+
+    for level, real in read_preset("edge").vae.items():
+        config = VaeConfig(real.features, real.tokens, real.latent_width, 16, 1, 2, 16, frame_channels=16)
+        torch.manual_seed(0)
+        weights = {f"vae.{name}": value for name, value in MotionVae(config).state_dict().items()}
+        statistics = {"mean": torch.zeros(real.features), "std": torch.ones(real.features)}
+        (run / f"vae_{level}").mkdir(parents=True, exist_ok=True)
+        content = {"hyper_parameters": {"config": vars(config)}, "state_dict": weights | statistics}
+        torch.save(content, run / f"vae_{level}" / "last.ckpt")
+
+
+def denoise(work: Path, hours: float) -> None:
+    """Do what training the denoisers of the edge preset does before its first step, and draw batches."""
+    import torch
+
+    from kinegraph.bundle.reader import text_files_folder
+    from kinegraph_training import train_denoisers as stage
+    from kinegraph_training.config import read_preset
+    from kinegraph_training.data import caption_cache
+    from kinegraph_training.layouts import JOINTS_137
+
+    torch.set_num_threads(1)
+    preset, run = read_preset("edge"), work / "run"
+    if not (run / "vae_motion").is_dir():
+        write_autoencoders(run)
+    arguments = argparse.Namespace(data=work / "data", held_out=None, more=[])
+    clips = stage.load_clips(arguments, preset.data, JOINTS_137)
+    with mock.patch.object(caption_cache, "_encode_missing", make_graphs):
+        captions = stage.encode_captions(clips, preset.denoiser.condition, text_files_folder(), run)
+    stage.write_bundle_tables(run, clips.train, captions)
+    stage.write_shown_captions(run, stage.without_motion(clips.train.clips), recorded=stage.read_ids(arguments.data))
+    latents = stage.encode_latents(clips, preset.denoiser.levels, run)
+    batches, _ = stage.make_loaders(clips, captions, latents, preset)
+    draw(batches)
+
+
+STAGES = {"write": write, "train": train, "denoise": denoise}
 
 
 def peak_of(stage: str, work: Path, hours: float) -> dict[str, float]:
@@ -69,13 +139,14 @@ def peak_of(stage: str, work: Path, hours: float) -> dict[str, float]:
     process = get_context("spawn").Process(target=_measured, args=(stage, work, hours, send))
     start = time.perf_counter()
     process.start()
+    send.close()  # or a stage that fails would be waited for
     own, children = receive.recv()
     process.join()
     return {"seconds": time.perf_counter() - start, "peak_mb": own, "largest_child_mb": children}
 
 
 def _measured(stage: str, work: Path, hours: float, send: object) -> None:
-    {"write": write, "train": train}[stage](work, hours)
+    STAGES[stage](work, hours)
     # Not ru_maxrss of its own: that also counts the process that started this one.
     children = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss / 1024
     send.send((peak_memory(), children))  # type: ignore[attr-defined]
@@ -87,5 +158,5 @@ if __name__ == "__main__":
     parser.add_argument("--work", type=Path, required=True)
     options = parser.parse_args()
     options.work.mkdir(parents=True, exist_ok=True)
-    for name in ("write", "train"):
+    for name in STAGES:
         print(name, json.dumps(peak_of(name, options.work, options.hours)), flush=True)

@@ -80,3 +80,31 @@ def test_masked_captions_keep_their_graph_and_tell_no_verb(tmp_path: Path) -> No
     np.testing.assert_array_equal(walks, runs)
     direct = CaptionEncoder(ASSETS).encode(CAPTIONS[0]).nodes
     np.testing.assert_allclose(whole.get(CAPTIONS[0]).nodes, direct, atol=2e-3)  # kept as float16
+
+
+def test_a_cache_of_0_7_0_is_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    cache = tmp_path / "captions.npz"
+    new = encode_graphs(CAPTIONS, ASSETS, cache)
+    arrays = {name: np.array(getattr(new, name)) for name in ("offsets", "nodes", "kind", "order", "owner", "relation")}
+    with np.load(cache) as stored:
+        np.savez(tmp_path / "old.npz", origin=stored["origin"], captions=np.array(list(new.captions)), **arrays)
+    monkeypatch.setattr(caption_cache, "CaptionEncoder", lambda folder: pytest.fail("encoded again"))
+    old = encode_graphs(CAPTIONS, ASSETS, tmp_path / "old.npz")
+    for caption in CAPTIONS:
+        for name, value in vars(new.get(caption)).items():
+            np.testing.assert_array_equal(getattr(old.get(caption), name), value)
+
+
+def test_arrays_are_mapped_and_captions_take_their_own_length(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    captions = ["a person bows", "a person's café — très long: " + "and bows again " * 8, "ein Mensch grüßt"]
+    cache = tmp_path / "captions.npz"
+    graphs = encode_graphs(captions, ASSETS, cache)
+    assert all(isinstance(getattr(graphs, name), np.memmap) for name in caption_cache._STORED)
+    assert cache.stat().st_size < 2000 + sum(map(len, captions))
+    monkeypatch.setattr(caption_cache, "CaptionEncoder", lambda folder: pytest.fail("encoded again"))
+    assert list(encode_graphs(captions, ASSETS, cache).captions) == sorted(captions)
+    # an array of another size belongs to other captions
+    caption_cache.array_file(cache, "kind").write_bytes(b"\0\0")
+    with pytest.raises(pytest.fail.Exception, match="encoded again"):
+        encode_graphs(captions, ASSETS, cache)
+    assert list(encode_graphs([], ASSETS, tmp_path / "none.npz").captions) == []

@@ -84,6 +84,10 @@ class Dataset:
         clips, features = [self.clips[i] for i in indices], [self.features[i] for i in indices]
         return Dataset(clips, features, self.mean, self.std)
 
+    def in_memory(self) -> Dataset:
+        """Return the features alone, read from where they are."""
+        return Dataset([], list(self.features), self.mean, self.std)
+
 
 def training_clips(
     folder: Path, config: DataConfig, held_out: Path | None, more: Sequence[Path] = ()

@@ -16,7 +16,7 @@ from torch import Tensor
 from kinegraph.bundle.contract import NULL_KIND, PADDING_BIAS
 from kinegraph.conditioning import ACTION, MOTION, SPECIFIC, GraphArrays, as_partial, pad_graphs
 from kinegraph_training.data.caption_cache import CaptionGraphs, CaptionStates
-from kinegraph_training.data.clips import MotionClip
+from kinegraph_training.data.clips import MotionClip, StoredClips
 from kinegraph_training.dataset import Dataset
 from kinegraph_training.latents import Latents
 from kinegraph_training.models.hierarchy import GraphBatch
@@ -144,7 +144,7 @@ class DenoiserBatches:
         """Draw a caption for each clip; returns the padded graphs and their attention bias (b, n)."""
         graphs, visible = [], []
         for index in indices:
-            graph = self._draw_caption(self.dataset.clips[index])
+            graph = self._draw_caption(self._clip(index))
             nodes = np.ones(len(graph.kind), dtype=bool)
             if self.augment and self.hiding:
                 graph, nodes = drop_nodes(graph, self.rng)
@@ -162,6 +162,11 @@ class DenoiserBatches:
             order[row, :size] = torch.from_numpy(graph.order)
             bias[row, :size] = torch.from_numpy(np.where(nodes, 0.0, PADDING_BIAS)).float()
         return GraphBatch(kind=kind, order=order, **arrays), bias
+
+    def _clip(self, index: int) -> MotionClip:
+        """Return a clip for its captions; the motion of one in shards is not read."""
+        clips = self.dataset.clips
+        return clips.without_motion(index) if isinstance(clips, StoredClips) else clips[index]
 
     def _draw_caption(self, clip: MotionClip) -> GraphArrays:
         """Draw the graph of one of a clip's captions; without `augment` it is the first one."""

@@ -14,6 +14,7 @@ import argparse
 from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -32,7 +33,7 @@ from kinegraph_training.bundle_tables import common_bone_lengths, fit_duration, 
 from kinegraph_training.checkpoints import fit
 from kinegraph_training.config import DataConfig, OptimiserConfig, Preset, read_preset
 from kinegraph_training.data.caption_cache import CaptionGraphs, CaptionStates, encode_graphs, encode_states
-from kinegraph_training.data.clips import MotionClip, read_jsonl
+from kinegraph_training.data.clips import MotionClip, read_ids, without_motion
 from kinegraph_training.data.shown_captions import write_shown_captions
 from kinegraph_training.dataset import Dataset, drop_long_clips, training_set, validation_set
 from kinegraph_training.denoiser_batches import DenoiserBatch, DenoiserBatches
@@ -231,12 +232,14 @@ def encode_captions(
         verb_masking: encode every caption with its verbs masked too.
     """
     train, val = (
-        [caption for clip in split.clips for caption in (*clip.captions, *clip.partial_captions)]
+        dict.fromkeys(
+            caption for clip in without_motion(split.clips) for caption in (*clip.captions, *clip.partial_captions)
+        )
         for split in (clips.train, clips.val)
     )
     if condition == "tokens":
-        return EncodedCaptions(encode_states(train + val, assets, run / "states.npz"), None)
-    graphs = encode_graphs(train + val, assets, run / "captions.npz")
+        return EncodedCaptions(encode_states(chain(train, val), assets, run / "states.npz"), None)
+    graphs = encode_graphs(chain(train, val), assets, run / "captions.npz")
     if not verb_masking:
         return EncodedCaptions(graphs, None)
     return EncodedCaptions(graphs, encode_graphs(train, assets, run / "captions_masked.npz", verbs_masked=True))
@@ -305,7 +308,8 @@ def make_loaders(
     """Make batches of training, drawn at random with dropout, and of validation, in order and without."""
     train, val, graphs = clips.train, clips.val, captions.graphs
     size = preset.denoiser_training.batch
-    sampler = WeightedRandomSampler(sampling_weights(train.clips, preset.data).tolist(), BATCHES_PER_EPOCH * size)
+    weights = sampling_weights(without_motion(train.clips), preset.data)
+    sampler = WeightedRandomSampler(weights.tolist(), BATCHES_PER_EPOCH * size)
     collate = DenoiserBatches(train, latents.train, graphs, seed=preset.seed, augment=True, masked=captions.masked)
     collate_val = DenoiserBatches(val, latents.val, graphs, seed=preset.seed, augment=False)
     train_indices: Any = range(len(train.clips))
@@ -342,7 +346,7 @@ def main(argv: list[str] | None = None) -> None:
         clips, preset.denoiser.condition, arguments.assets, run, verb_masking=preset.data.verb_masking
     )
     write_bundle_tables(run, clips.train, captions)
-    write_shown_captions(run, clips.train.clips, recorded=read_jsonl(arguments.data / "index.jsonl"))
+    write_shown_captions(run, without_motion(clips.train.clips), recorded=read_ids(arguments.data))
     latents = encode_latents(clips, preset.denoiser.levels, run)
     train_batches, val_batches = make_loaders(clips, captions, latents, preset)
 

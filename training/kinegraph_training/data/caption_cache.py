@@ -8,14 +8,14 @@ included, one caption at a time, so that a model is trained on what it will see 
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
-from contextlib import contextmanager
-from dataclasses import dataclass
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass, replace
 from functools import cached_property, partial
+from itertools import pairwise
 from multiprocessing import get_context
 from pathlib import Path
-from typing import BinaryIO
 
 import numpy as np
 import onnxruntime
@@ -25,7 +25,7 @@ from tqdm import tqdm
 from kinegraph.bundle.sessions import available_cpus
 from kinegraph.conditioning import MOTION, NO_EDGE, GraphArrays, encode_caption
 from kinegraph.edits import masked
-from kinegraph.errors import InvalidInputError
+from kinegraph.errors import InvalidInputError, OutputError
 from kinegraph.graph import OTHERS, ROLE_INDEX, SemanticGraph
 from kinegraph.text.parser import read_parser
 from kinegraph.text.tokenizer import CaptionTokenizer
@@ -34,8 +34,8 @@ ASSETS = ("text_encoder.onnx", "tokenizer.json", "parser.bin")
 OPTIONAL_ASSETS = ("arguments.npz",)
 """Weights of `train_parser`; without them the parser goes by rules."""
 
-_SMALL = {"kind": np.int16, "order": np.int16, "owner": np.int16, "relation": np.int8}
-"""Arrays of a graph beside its features, and how they are stored."""
+_STORED = {"nodes": np.float16, "kind": np.int16, "order": np.int16, "owner": np.int16, "relation": np.int8}
+"""Arrays of a graph, and how they are stored: each in a file of its own, all captions end to end."""
 
 CHUNK = 1000
 """Captions that a process encodes before it reports; fewer are encoded in this process."""
@@ -85,7 +85,7 @@ class CaptionEncoder:
 class CaptionGraphs:
     """Graphs of many captions, end to end: caption i owns rows offsets[i]:offsets[i + 1] of the node arrays.
 
-    Features are memory-mapped, 15 kB a caption; all else is small.
+    The arrays are mapped into memory: features of 15 kB a caption, and half a kilobyte of the rest.
     """
 
     captions: dict[str, int]
@@ -132,36 +132,49 @@ def mask_verbs(graph: SemanticGraph) -> SemanticGraph:
     return graph
 
 
-def encode_graphs(captions: Sequence[str], assets: Path, cache: Path, *, verbs_masked: bool = False) -> CaptionGraphs:
+def encode_graphs(captions: Iterable[str], assets: Path, cache: Path, *, verbs_masked: bool = False) -> CaptionGraphs:
     """Encode the graphs of all distinct captions, and cache them.
 
     Args:
         captions: may repeat.
         assets: folder of the text files.
-        cache: .npz file; captions that it holds from the same assets are read back. Written if any were missing, and
-            a file beside it (`.nodes`) with the features, which are never all in memory.
+        cache: .npz file; captions that it holds from the same assets are read back. Written if any were missing, with
+            a file beside it for every array (`array_file`), as these are never all in memory.
         verbs_masked: encode each graph as `mask_verbs` leaves it; it is found under the caption as it was.
     """
     distinct = sorted(set(captions))
     origin = hashlib.sha256(b"".join(read_assets(assets).values()) + bytes([verbs_masked])).hexdigest()
+    # the caller's strings, of which there may be a million, in place of those that are read
+    own = {caption: index for index, caption in enumerate(distinct)}
     cached = _read_cache(cache, origin)
     if cached is not None and list(cached.captions) == distinct:
-        return cached
+        return replace(cached, captions=own)
     known = cached.captions if cached is not None else {}
     fresh = _encode_missing([caption for caption in distinct if caption not in known], assets, verbs_masked)
     cache.parent.mkdir(parents=True, exist_ok=True)
-    with nodes_file(cache).with_suffix(".part").open("wb") as nodes:
-        graphs = (cached.get(text) if cached is not None and text in known else next(fresh) for text in distinct)
-        packed = _pack(graphs, nodes)
-    nodes_file(cache).with_suffix(".part").replace(nodes_file(cache))
+    graphs = (cached.get(text) if cached is not None and text in known else next(fresh) for text in distinct)
+    sizes, width = _write_arrays(cache, graphs)
+    cache.unlink(missing_ok=True)  # else, stopped here, it would stand beside arrays of other captions
+    for name in _STORED:
+        _unfinished(cache, name).replace(array_file(cache, name))
+    text = np.frombuffer("".join(distinct).encode(), dtype=np.uint8)
+    ends = np.cumsum([len(caption.encode()) for caption in distinct], dtype=np.int64)
     with cache.open("wb") as file:
-        np.savez(file, origin=np.array(origin), captions=np.array(distinct), **packed)
-    return _read_cache(cache, origin) or cached_graphs({"captions": np.array(distinct), **packed}, np.zeros((0, 0)))
+        packed = {"text": text, "text_ends": ends, "offsets": np.cumsum([0, *sizes])}
+        np.savez(file, origin=np.array(origin), width=np.array(width), **packed)
+    written = _read_cache(cache, origin)
+    if written is None:
+        raise OutputError(f"{cache} was written, and now is another file: two runs write it at once")
+    return replace(written, captions=own)
 
 
-def nodes_file(cache: Path) -> Path:
-    """Name the file of the features that belong to a cache."""
-    return cache.with_suffix(".nodes")
+def array_file(cache: Path, name: str) -> Path:
+    """Name the file of an array that belongs to a cache."""
+    return cache.with_suffix(f".{name}")
+
+
+def _unfinished(cache: Path, name: str) -> Path:
+    return cache.with_suffix(f".{name}.part")
 
 
 def _encode_missing(missing: Sequence[str], assets: Path, verbs_masked: bool) -> Iterator[GraphArrays]:
@@ -174,18 +187,18 @@ def _encode_missing(missing: Sequence[str], assets: Path, verbs_masked: bool) ->
             progress.update(len(graphs))
 
 
-def _pack(graphs: Iterable[GraphArrays], nodes: BinaryIO) -> dict[str, np.ndarray]:
-    """Write the features of graphs to a file, one after another; returns the small arrays of all of them."""
-    sizes, width = [0], 0
-    flat = {name: bytearray() for name in _SMALL}
-    for graph in graphs:
-        nodes.write(graph.nodes.astype(np.float16).tobytes())
-        sizes.append(len(graph.kind))
-        width = graph.nodes.shape[1]
-        for name, kind in _SMALL.items():
-            flat[name] += getattr(graph, name).astype(kind).tobytes()
-    arrays = {name: np.frombuffer(bytes(flat[name]), dtype=kind) for name, kind in _SMALL.items()}
-    return {"offsets": np.cumsum(sizes), "width": np.array(width), **arrays}
+def _write_arrays(cache: Path, graphs: Iterable[GraphArrays]) -> tuple[list[int], int]:
+    """Write the arrays of graphs to files, one graph after another; returns nodes by graph, and the features' width."""
+    sizes: list[int] = []
+    width = 0
+    with ExitStack() as stack:
+        files = {name: stack.enter_context(_unfinished(cache, name).open("wb")) for name in _STORED}
+        for graph in graphs:
+            sizes.append(len(graph.kind))
+            width = graph.nodes.shape[1]
+            for name, kind in _STORED.items():
+                files[name].write(getattr(graph, name).astype(kind).tobytes())
+    return sizes, width
 
 
 def _read_cache(cache: Path, origin: str) -> CaptionGraphs | None:
@@ -193,16 +206,35 @@ def _read_cache(cache: Path, origin: str) -> CaptionGraphs | None:
     if not cache.is_file():
         return None
     with np.load(cache, allow_pickle=False) as stored:
-        if not {"origin", "owner"} <= set(stored) or str(stored["origin"]) != origin:
+        if "origin" not in stored or str(stored["origin"]) != origin:
             return None
-        arrays = dict(stored)
-    if "nodes" in arrays:  # of 0.7.0 and before
-        return cached_graphs(arrays, arrays["nodes"])
-    shape = (int(arrays["offsets"][-1]), int(arrays["width"]))
-    path = nodes_file(cache)
-    if not shape[0] or not path.is_file() or path.stat().st_size != 2 * shape[0] * shape[1]:
+        small = dict(stored)
+    offsets = small["offsets"].astype(np.int64)
+    rows, pairs = int(offsets[-1]), int((np.diff(offsets) ** 2).sum())
+    shapes = {"nodes": (rows, int(small.get("width", 0))), "relation": (pairs,)}
+    arrays = {}
+    for name, kind in _STORED.items():
+        # version 0.7.0 kept all arrays in the .npz
+        array = small[name] if name in small else _map_array(array_file(cache, name), kind, shapes.get(name, (rows,)))
+        if array is None:
+            return None
+        arrays[name] = array
+    texts = small["captions"].tolist() if "captions" in small else _split_text(small["text"], small["text_ends"])
+    return CaptionGraphs({caption: index for index, caption in enumerate(texts)}, offsets, **arrays)
+
+
+def _map_array(path: Path, kind: type[np.generic], shape: tuple[int, ...]) -> np.ndarray | None:
+    """Map an array into memory; None if the file is missing or holds another number of values."""
+    size = int(np.prod(shape))
+    if not path.is_file() or path.stat().st_size != size * np.dtype(kind).itemsize:
         return None
-    return cached_graphs(arrays, np.memmap(path, dtype=np.float16, mode="r", shape=shape))
+    return np.memmap(path, dtype=kind, mode="r", shape=shape) if size else np.zeros(shape, dtype=kind)
+
+
+def _split_text(text: NDArray[np.uint8], ends: NDArray[np.int64]) -> list[str]:
+    """Split the UTF-8 of captions end to end; in an array of strings each would have the size of the longest."""
+    data = text.tobytes()
+    return [data[start:end].decode() for start, end in pairwise([0, *ends.tolist()])]
 
 
 def _encode_chunk(assets: Path, verbs_masked: bool, captions: Sequence[str]) -> list[GraphArrays]:
@@ -221,13 +253,6 @@ def _process_pool(chunks: int) -> Iterator[ProcessPoolExecutor | None]:
         return
     with ProcessPoolExecutor(count, mp_context=get_context("spawn")) as pool:
         yield pool
-
-
-def cached_graphs(arrays: Mapping[str, np.ndarray], nodes: NDArray[np.float16]) -> CaptionGraphs:
-    """Make graphs of the small arrays of a cache, and of the features (rows, D)."""
-    small = {name: arrays[name].astype(kind, copy=False) for name, kind in _SMALL.items()}
-    captions = {str(caption): index for index, caption in enumerate(arrays["captions"])}
-    return CaptionGraphs(captions, arrays["offsets"].astype(np.int64), nodes, **small)
 
 
 class CaptionStates:
@@ -264,7 +289,7 @@ def tokens_as_graph(hidden: NDArray[np.float32]) -> GraphArrays:
     )
 
 
-def encode_states(captions: Sequence[str], assets: Path, cache: Path) -> CaptionStates:
+def encode_states(captions: Iterable[str], assets: Path, cache: Path) -> CaptionStates:
     """Encode the hidden states of all distinct captions, and cache them.
 
     Args:

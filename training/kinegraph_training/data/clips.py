@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from kinegraph.arrays import FloatArray
 from kinegraph.errors import InvalidInputError
-from kinegraph.motion.skeleton import mirrored
+from kinegraph.motion.skeleton import JOINTS, mirrored
 from kinegraph_training.data.folder import STEP_METRES
 
 AT_ONCE: Final = "+"
@@ -31,6 +31,8 @@ SHARDS: Final = "shards"
 
 MIRRORED: Final = "~mirror"
 """End of the id of a mirror image."""
+
+_NO_FRAMES: Final = np.zeros((0, JOINTS, 3), dtype=np.float32)
 
 OPPOSITE = {"left": "right", "leftward": "rightward", "leftwards": "rightwards", "clockwise": "counterclockwise"}
 OPPOSITE |= {other: word for word, other in OPPOSITE.items()}
@@ -109,6 +111,11 @@ def read_jsonl(path: Path) -> dict[str, dict[str, Any]]:
         raise InvalidInputError(f"{path} is missing; a data folder needs it (see kinegraph_training.data.clips)")
     rows = (json.loads(line) for line in path.read_text(encoding="utf-8").splitlines() if line.strip())
     return {row["id"]: row for row in rows}
+
+
+def read_ids(folder: Path) -> Iterator[str]:
+    """Yield the ids of all clips of a data folder, a line of index.jsonl at a time."""
+    return (json.loads(line)["id"] for line in _lines(folder / "index.jsonl"))
 
 
 def read_split(folder: Path, split: str) -> list[MotionClip]:
@@ -233,6 +240,19 @@ class StoredClips(Sequence[MotionClip]):
         root = np.load(f"{shard}.root.npy", mmap_mode="r", allow_pickle=False)[span]
         clip = clip_of_rows(row["id"], unpack_joints(packed, root, STEP_METRES), texts, row)
         return mirrored_clip(clip) if self.mirrored[index] else clip
+
+    def without_motion(self, index: int) -> MotionClip:
+        """Return a clip for its captions and labels: it has no frames, and no file is read."""
+        row, texts = (json.loads(line) for line in self.rows[index])
+        clip = clip_of_rows(row["id"], _NO_FRAMES, texts, row)
+        return mirrored_clip(clip) if self.mirrored[index] else clip
+
+
+def without_motion(clips: Sequence[MotionClip]) -> Iterator[MotionClip]:
+    """Yield clips for their captions and labels; those of shards have no frames, as no motion is read."""
+    if isinstance(clips, StoredClips):
+        return map(clips.without_motion, range(len(clips)))
+    return iter(clips)
 
 
 def _lines(path: Path) -> Iterator[bytes]:
