@@ -60,7 +60,7 @@ class Clip:
     """What of the text could not be honoured, a sentence each."""
 
     misses: tuple[Miss, ...] = ()
-    """How far the clip is from each constraint that it was made under, in their order; files do not store it."""
+    """How far the clip is from each constraint that it was made under, in their order; `.npz` and `.json` store it."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "joints", _validate_joints(self.joints))

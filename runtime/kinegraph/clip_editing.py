@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from kinegraph.arrays import DoubleArray, FloatArray
+from kinegraph.arrays import FloatArray
 from kinegraph.bundle.sessions import run_model
 from kinegraph.clip import Clip
 from kinegraph.constrained_denoising import EncodedClip, Wanted
@@ -16,10 +16,10 @@ from kinegraph.constraints import POSE_SECONDS, Constraint, EndPose, Keyframe, S
 from kinegraph.denoising import LatentSampler
 from kinegraph.errors import InvalidInputError
 from kinegraph.keeping import check_keep
+from kinegraph.motion.body_frame import BodyFrame
 from kinegraph.motion.features import features_from_joints
-from kinegraph.motion.quaternions import about_axis, rotate
 from kinegraph.motion.resampling import resample
-from kinegraph.motion.skeleton import HORIZONTAL, PELVIS, facing_angle, start_at_origin
+from kinegraph.motion.skeleton import start_at_origin
 from kinegraph.validation import finite_number, short_repr
 
 if TYPE_CHECKING:
@@ -97,16 +97,22 @@ def between(start: Any, end: Any, seconds: float, fps: float, *, placed: bool) -
     begin = StartPose(first)
     if not placed:
         return [begin, EndPose(last)]
-    origin = begin.joints[0].astype(np.float64)
-    goal = EndPose(last).joints[-1].astype(np.float64)
-    heading = float(facing_angle(begin.joints[:1])[0])
-    target = rotate(about_axis(1, np.array(-heading)), goal - origin[PELVIS] * HORIZONTAL)
-    return [begin, Keyframe(max(seconds - 1.0 / fps, 0.0), np.asarray(target))]
+    goal = BodyFrame.of(begin.joints[0]).to_body(EndPose(last).joints[-1]).astype(np.float32)
+    return [begin, Keyframe(max(seconds - 1.0 / fps, 0.0), goal)]
 
 
 def _as_frames(pose: Any) -> Any:
     """Make frames of a single pose (22, 3); leave all else to the constraint."""
     return pose[None] if isinstance(pose, np.ndarray) and pose.ndim == 2 else pose
+
+
+def begin_in(frames: FloatArray, sampler: LatentSampler) -> Wanted:
+    """Ask that a clip begins in the last frames (n, 22, 3) of a motion, wherever that has come to.
+
+    Raises:
+        InvalidInputError: see `constrained_denoising.Wanted.check`.
+    """
+    return Wanted.check([StartPose(start_at_origin(frames))], 1.0, True, False, sampler)
 
 
 def stream_frames(
@@ -116,42 +122,17 @@ def stream_frames(
 
     Only the part that is shown is held. See `MotionPipeline.stream`.
     """
-    place = _Place.origin()
-    before: Clip | None = None
     fps = pipe.manifest.fps
-    count = max(1, round(POSE_SECONDS * fps))
+    overlap = max(1, round(POSE_SECONDS * fps))
+    shown: FloatArray | None = None  # the last frames, in the world
     for number, text in enumerate(texts):
-        start: list[Constraint] = [] if before is None else [StartPose(before.joints[-count:])]
-        length = seconds
-        if before is not None and seconds is not None:
-            length = min(seconds + count / fps, pipe.manifest.seconds_limits[1])
-        clip = pipe.generate(text, seconds=length, seed=seed + number, constraints=start, **options)
-        if before is None:
-            yield from clip.joints
+        if shown is None:
+            yield from (joints := pipe.generate(text, seconds=seconds, seed=seed, **options).joints)
         else:
-            place = place.after(before.joints[-count])
-            yield from place.put(clip.joints[count:])  # the frames before are the last ones of the part before
-        before = clip
-
-
-class _Place:
-    """Where a part of a stream starts in the world."""
-
-    def __init__(self, spot: DoubleArray, heading: float) -> None:
-        self.spot, self.heading = spot, heading
-
-    @staticmethod
-    def origin() -> _Place:
-        """Start of the first part."""
-        return _Place(np.zeros(3), 0.0)
-
-    def after(self, pose: FloatArray) -> _Place:
-        """Tell the place of the next part, which starts in a pose (22, 3) of this one."""
-        spot = self.put(pose[None])[0, PELVIS].astype(np.float64) * HORIZONTAL
-        heading = self.heading + float(facing_angle(pose[None])[0])
-        return _Place(spot, (heading + np.pi) % (2 * np.pi) - np.pi)
-
-    def put(self, joints: FloatArray) -> FloatArray:
-        """Put joints (frames, 22, 3) of the part into the world."""
-        turned = rotate(about_axis(1, np.array(self.heading)), joints.astype(np.float64))
-        return np.asarray(turned + self.spot, dtype=np.float32)
+            frame = BodyFrame.of(shown[0])
+            start = StartPose(start_at_origin(shown))  # near the origin, however far the stream has come
+            length = None if seconds is None else min(seconds + overlap / fps, pipe.manifest.seconds_limits[1])
+            clip = pipe.generate(text, seconds=length, seed=seed + number, constraints=[start], **options)
+            joints = frame.to_world(clip.joints).astype(np.float32)
+            yield from joints[overlap:]  # the frames before are the last ones that were shown
+        shown = joints[-overlap:]

@@ -18,16 +18,26 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
-from typing import Final, Literal, Protocol
+from typing import Any, Final, Literal, Protocol
 
 import numpy as np
 
 from kinegraph.arrays import DoubleArray, FloatArray
+from kinegraph.constraint_values import (
+    check_array,
+    check_coordinates,
+    check_moment,
+    check_pose,
+    check_rotations,
+    check_weight,
+    within_metres,
+)
 from kinegraph.errors import InvalidInputError
-from kinegraph.limits import MAX_METRES, MAX_PATH_POINTS, MAX_POSE_FRAMES, MAX_WEIGHT
-from kinegraph.motion.quaternions import about_axis, rotate
+from kinegraph.limits import MAX_PATH_POINTS, MAX_POSE_FRAMES
+from kinegraph.motion.body_frame import BodyFrame
+from kinegraph.motion.kinematics import REST_OFFSETS, forward_kinematics
 from kinegraph.motion.resampling import resample
-from kinegraph.motion.skeleton import HORIZONTAL, JOINT_INDEX, JOINTS, PELVIS, facing_angle
+from kinegraph.motion.skeleton import JOINT_INDEX, JOINTS
 from kinegraph.validation import check_flag, check_fps, finite_number, short_repr
 
 POSE_SECONDS: Final = 0.2
@@ -69,12 +79,12 @@ class Path:
     """0 to 100; 0 is a clip without it."""
 
     def __post_init__(self) -> None:
-        points = _array(self.points, "the points of a path", (-1, 2), "(points, 2): x and z of each")
+        points = check_array(self.points, "the points of a path", (-1, 2), "(points, 2): x and z of each")
         if not 2 <= len(points) <= MAX_PATH_POINTS:
             raise InvalidInputError(f"a path has 2 to {MAX_PATH_POINTS} points, not {len(points)}; one is a Waypoint")
-        _set(self, points=_within_metres(points, "a point of a path"), weight=_weight(self.weight, "a path"))
+        _set(self, points=within_metres(points, "a point of a path"), weight=check_weight(self.weight, "a path"))
         if self.times is not None:
-            times = _array(self.times, "the times of a path", (len(points),), f"({len(points)},), one a point")
+            times = check_array(self.times, "the times of a path", (len(points),), f"({len(points)},), one a point")
             if times[0] < 0 or (np.diff(times) <= 0).any():
                 raise InvalidInputError("the times of a path must rise from 0 s or later; put the points in order")
             _set(self, times=times)
@@ -84,8 +94,8 @@ class Path:
             raise InvalidInputError(
                 f'the heading of a path is "along", degrees for each point, or None, not {short_repr(self.heading)}'
             )
-        degrees = _array(self.heading, "the heading of a path", (len(points),), f"({len(points)},), degrees a point")
-        _set(self, heading=degrees)
+        shape = f"({len(points)},), degrees a point"
+        _set(self, heading=check_array(self.heading, "the heading of a path", (len(points),), shape))
 
     @property
     def length(self) -> float:
@@ -166,9 +176,9 @@ class Waypoint:
     def __post_init__(self) -> None:
         _set(
             self,
-            seconds=_moment(self.seconds, "the time of a waypoint"),
-            position=_coordinates(self.position, "a waypoint", "xz"),
-            weight=_weight(self.weight, "a waypoint"),
+            seconds=check_moment(self.seconds, "the time of a waypoint"),
+            position=check_coordinates(self.position, "a waypoint", "xz"),
+            weight=check_weight(self.weight, "a waypoint"),
         )
         if self.heading is not None:
             heading = finite_number(self.heading)
@@ -196,7 +206,7 @@ class JointTarget:
 
     def __post_init__(self) -> None:
         joint = joint_name(self.joint)
-        position = _coordinates(self.position, f"the target of {joint}", "xyz", free=True)
+        position = check_coordinates(self.position, f"the target of {joint}", "xyz", free=True)
         if all(value is None for value in position):
             raise InvalidInputError(f"the target of {joint} has no axis that is not free; give x, y or z in metres")
         if isinstance(self.seconds, tuple | list):
@@ -204,13 +214,13 @@ class JointTarget:
                 raise InvalidInputError(
                     f"the time of a target is a moment or (begin, end), not {len(self.seconds)} times"
                 )
-            begin, end = (_moment(value, f"the time of the target of {joint}") for value in self.seconds)
+            begin, end = (check_moment(value, f"the time of the target of {joint}") for value in self.seconds)
             if end < begin:
                 raise InvalidInputError(f"the target of {joint} ends at {end:g} s, before it begins at {begin:g} s")
             _set(self, seconds=(begin, end))
         else:
-            _set(self, seconds=_moment(self.seconds, f"the time of the target of {joint}"))
-        _set(self, joint=joint, position=position, weight=_weight(self.weight, f"the target of {joint}"))
+            _set(self, seconds=check_moment(self.seconds, f"the time of the target of {joint}"))
+        _set(self, joint=joint, position=position, weight=check_weight(self.weight, f"the target of {joint}"))
 
     @property
     def index(self) -> int:
@@ -243,9 +253,9 @@ class Keyframe:
     def __post_init__(self) -> None:
         _set(
             self,
-            seconds=_moment(self.seconds, "the time of a keyframe"),
-            joints=_pose(self.joints, "the joints of a keyframe", (JOINTS, 3), f"({JOINTS}, 3)"),
-            weight=_weight(self.weight, "a keyframe"),
+            seconds=check_moment(self.seconds, "the time of a keyframe"),
+            joints=check_pose(self.joints, "the joints of a keyframe", (JOINTS, 3), f"({JOINTS}, 3)"),
+            weight=check_weight(self.weight, "a keyframe"),
             anywhere=check_flag(self.anywhere, "anywhere"),
         )
 
@@ -265,11 +275,44 @@ class Keyframe:
             InvalidInputError: not a clip, or a time outside it.
         """
         joints, fps = _motion(clip, "a keyframe")
-        moment = _moment(seconds, "the time in the clip of a keyframe")
+        moment = check_moment(seconds, "the time in the clip of a keyframe")
         if moment > len(joints) / fps:
             raise InvalidInputError(f"the clip of a keyframe has {len(joints) / fps:g} s and no pose at {moment:g} s")
         frame = min(round(moment * fps), len(joints) - 1)
         return cls(moment if at is None else at, joints[frame], weight, anywhere)
+
+    @classmethod
+    def from_rotations(
+        cls,
+        seconds: float,
+        rotations: object,
+        root: object,
+        rest_offsets: object = None,
+        *,
+        weight: float = 1.0,
+        anywhere: bool = False,
+    ) -> Keyframe:
+        """Pose the body by the rotations of its joints (`motion.kinematics.forward_kinematics`).
+
+        Args:
+            seconds: from the start of the clip.
+            rotations: (22, 4) quaternions w, x, y, z, or (22, 3, 3) matrices, each relative to the joint's parent; of a
+                T-pose they are the identity. Those of a frame of a `.json` clip are such.
+            root: (3,) metres, where the pelvis is.
+            rest_offsets: (22, 3) metres, each joint from its parent in the T-pose; None is the body of the default
+                bundle. With other bones no motion of a bundle can be in the pose to the millimetre.
+            weight, anywhere: see the fields.
+
+        Raises:
+            InvalidInputError: another shape, not finite, or no rotations.
+        """
+        turns = check_rotations(rotations, "the rotations of a keyframe", JOINTS)
+        place = check_pose(root, "the root of a keyframe", (3,), "(3,)")
+        offsets = REST_OFFSETS
+        if rest_offsets is not None:
+            offsets = check_pose(rest_offsets, "the rest_offsets of a keyframe", (JOINTS, 3), f"({JOINTS}, 3)")
+        joints = forward_kinematics(offsets, place[None], turns[None])[0]
+        return cls(seconds, joints.astype(np.float32), weight, anywhere)
 
 
 @dataclass(frozen=True, eq=False)
@@ -336,7 +379,7 @@ class Loop:
     """0 to 100."""
 
     def __post_init__(self) -> None:
-        _set(self, weight=_weight(self.weight, "a loop"))
+        _set(self, weight=check_weight(self.weight, "a loop"))
 
 
 Constraint = Path | Waypoint | JointTarget | Keyframe | StartPose | EndPose | Loop
@@ -355,6 +398,26 @@ class Miss:
     """Largest of them, metres."""
     degrees: float | None = None
     """Mean error of the heading, if it names one."""
+
+    def to_dict(self) -> dict[str, Any]:
+        """Convert to plain values for JSON."""
+        return {"what": self.what, "metres": self.metres, "worst": self.worst, "degrees": self.degrees}
+
+    @staticmethod
+    def from_dict(value: object) -> Miss:
+        """Read what `to_dict` wrote.
+
+        Raises:
+            InvalidInputError: it is something else.
+        """
+        keys = ("what", "metres", "worst", "degrees")
+        if not isinstance(value, dict) or set(value) != set(keys):
+            raise InvalidInputError(f"a miss must be an object with the keys {', '.join(keys)}")
+        what, *numbers = (value[key] for key in keys)
+        metres, worst, degrees = map(finite_number, numbers)
+        if not isinstance(what, str) or metres is None or worst is None or (degrees is None) != (numbers[2] is None):
+            raise InvalidInputError(f"a miss must name what was missed, and by how much, not {short_repr(what)}")
+        return Miss(what, metres, worst, degrees)
 
 
 def describe(constraint: Constraint) -> str:
@@ -410,12 +473,12 @@ def _set_pose(pose: StartPose | EndPose, what: str, *, ending: bool) -> None:
         joints = joints[-count:] if ending else joints[:count]
         _set(pose, fps=fps)
     shape = f"(frames, {JOINTS}, 3), or it is a clip"
-    frames = _pose(joints, f"the joints of {what}", (-1, JOINTS, 3), shape)
+    frames = check_pose(joints, f"the joints of {what}", (-1, JOINTS, 3), shape)
     if not 1 <= len(frames) <= MAX_POSE_FRAMES:
         raise InvalidInputError(f"{what} has 1 to {MAX_POSE_FRAMES} frames, not {len(frames)}; use fewer, or a clip")
     if pose.fps is not None:
         check_fps(pose.fps)
-    _set(pose, joints=frames, weight=_weight(pose.weight, what))
+    _set(pose, joints=frames, weight=check_weight(pose.weight, what))
 
 
 def _motion(clip: object, what: str) -> tuple[FloatArray, float]:
@@ -428,7 +491,7 @@ def _motion(clip: object, what: str) -> tuple[FloatArray, float]:
     if joints is None or fps is None:
         raise InvalidInputError(f"{what} is taken from a Clip, not from {short_repr(clip)}; read a file with Clip.load")
     check_fps(fps)
-    return _pose(joints, f"the clip of {what}", (-1, JOINTS, 3), f"(frames, {JOINTS}, 3)"), float(fps)
+    return check_pose(joints, f"the clip of {what}", (-1, JOINTS, 3), f"(frames, {JOINTS}, 3)"), float(fps)
 
 
 def _placed_pose(joints: FloatArray, own_fps: float | None, fps: float, anchor: int) -> FloatArray:
@@ -442,114 +505,4 @@ def _placed_pose(joints: FloatArray, own_fps: float | None, fps: float, anchor: 
     """
     if own_fps is not None and own_fps != fps and len(joints) > 1:
         joints = resample(joints, own_fps, fps)
-    heading = float(facing_angle(joints[[anchor]])[0])
-    moved = joints.astype(np.float64) - joints[anchor, PELVIS] * HORIZONTAL
-    return np.asarray(rotate(about_axis(1, np.array(-heading)), moved), dtype=np.float32)
-
-
-def _array(value: object, what: str, shape: tuple[int, ...], wanted: str) -> DoubleArray:
-    """Copy numbers to a read-only array.
-
-    Args:
-        value: of the caller.
-        what: it is, for the message.
-        shape: with -1 for any number.
-        wanted: shape in words, for the message.
-
-    Raises:
-        InvalidInputError: no numbers, another shape, NaN or infinity.
-    """
-    if not isinstance(value, np.ndarray | list | tuple):
-        raise InvalidInputError(f"{what} must be an array of shape {wanted}, not {short_repr(value)}")
-    try:
-        array = np.asarray(value)
-    except (ValueError, OverflowError) as error:
-        raise InvalidInputError(f"{what} are no array of shape {wanted} ({error})") from error
-    if array.dtype.kind not in "fiu":
-        raise InvalidInputError(f"{what} have type {array.dtype}; they must be real numbers of shape {wanted}")
-    fits = array.ndim == len(shape) and all(size in (-1, own) for size, own in zip(shape, array.shape, strict=True))
-    if not fits:
-        raise InvalidInputError(f"{what} have shape {array.shape}; it must be {wanted}")
-    if not isinstance(value, np.ndarray) and _holds_flags(value):
-        raise InvalidInputError(f"{what} hold true or false; they must be real numbers of shape {wanted}")
-    copy = np.array(array, dtype=np.float64)
-    if not np.isfinite(copy).all():
-        index = tuple(int(number) for number in np.argwhere(~np.isfinite(copy))[0])
-        raise InvalidInputError(f"{what} are not finite at index {index}; leave out what is not known")
-    copy.flags.writeable = False
-    return copy
-
-
-def _holds_flags(values: object) -> bool:
-    """Tell whether nested lists hold a bool, which numpy would take for 0 or 1."""
-    if isinstance(values, list | tuple):
-        return any(map(_holds_flags, values))
-    return isinstance(values, bool | np.bool_)
-
-
-def _pose(value: object, what: str, shape: tuple[int, ...], wanted: str) -> FloatArray:
-    """Copy joints in metres to a read-only array; see `_array`."""
-    metres = _within_metres(_array(value, what, shape, wanted), what)
-    joints = metres.astype(np.float32)
-    joints.flags.writeable = False
-    return joints
-
-
-def _within_metres(values: DoubleArray, what: str) -> DoubleArray:
-    """Refuse places beyond `MAX_METRES`.
-
-    Raises:
-        InvalidInputError: naming the first such value.
-    """
-    far = np.abs(values) > MAX_METRES
-    if far.any():
-        value = float(values[far][0])
-        raise InvalidInputError(
-            f"{what} is at {value:g} m; places are at most {MAX_METRES:g} m away: are these metres?"
-        )
-    return values
-
-
-def _coordinates(value: object, what: str, axes: str, *, free: bool = False) -> tuple[float | None, ...]:
-    """Check a place: a number of metres for each axis, or None where `free` allows it.
-
-    Raises:
-        InvalidInputError: naming the axis.
-    """
-    values = value.tolist() if isinstance(value, np.ndarray) else value
-    if not isinstance(values, list | tuple) or len(values) != len(axes):
-        named = ", ".join(axes)
-        raise InvalidInputError(f"{what} is at ({named}) in metres, not at {short_repr(value)}")
-    numbers = [None if number is None and free else finite_number(number) for number in values]
-    for axis, number, given in zip(axes, numbers, values, strict=True):
-        if number is None and not (free and given is None):
-            raise InvalidInputError(f"{axis} of {what} must be metres, not {short_repr(given)}")
-        if number is not None and abs(number) > MAX_METRES:
-            raise InvalidInputError(f"{axis} of {what} is {number:g} m; places are at most {MAX_METRES:g} m away")
-    return tuple(numbers)
-
-
-def _moment(value: object, what: str) -> float:
-    """Check a time.
-
-    Raises:
-        InvalidInputError: not a number of seconds from 0 on.
-    """
-    seconds = finite_number(value)
-    if seconds is None or seconds < 0:
-        raise InvalidInputError(f"{what} must be seconds from 0 on, not {short_repr(value)}")
-    return seconds
-
-
-def _weight(value: object, what: str) -> float:
-    """Check a weight.
-
-    Raises:
-        InvalidInputError: not a number from 0 to `MAX_WEIGHT`.
-    """
-    weight = finite_number(value)
-    if weight is None or not 0 <= weight <= MAX_WEIGHT:
-        raise InvalidInputError(
-            f"the weight of {what} must be 0 to {MAX_WEIGHT:g}, not {short_repr(value)}; 1 is usual"
-        )
-    return weight
+    return BodyFrame.of(joints[anchor]).to_body(joints).astype(np.float32)

@@ -25,9 +25,9 @@ from kinegraph.constraints import (
     describe,
 )
 from kinegraph.feasibility import frame_of
-from kinegraph.motion.quaternions import about_axis, rotate
+from kinegraph.motion.body_frame import BodyFrame
 from kinegraph.motion.reaching import Pins
-from kinegraph.motion.skeleton import HORIZONTAL, PELVIS, facing_angle
+from kinegraph.motion.skeleton import PELVIS, facing_angle
 
 
 def pins_of(constraints: Sequence[Constraint], joints: Floats, fps: float) -> Pins:
@@ -73,19 +73,20 @@ def wanted_places(constraint: Constraint, joints: Floats, fps: float) -> tuple[D
         case Keyframe():
             frame = frame_of(constraint.seconds, frames, fps)
             pose = constraint.joints.astype(np.float64)
-            places[frame] = _at(_centred(pose)[None], joints, frame)[0] if constraint.anywhere else pose
+            if constraint.anywhere:
+                pose = BodyFrame.of(joints[frame]).to_world(BodyFrame.of(pose).to_body(pose))
+            places[frame] = pose
             axes[frame] = True
         case StartPose():
             poses = constraint.frames(fps).astype(np.float64)
             places[: len(poses)], axes[: len(poses)] = poses, True
         case EndPose():
             poses = constraint.frames(fps).astype(np.float64)
-            places[-len(poses) :], axes[-len(poses) :] = _at(poses, joints, frames - 1), True
+            places[-len(poses) :], axes[-len(poses) :] = BodyFrame.of(joints[-1]).to_world(poses), True
         case Loop():
-            begin = joints[:2] - joints[0, PELVIS] * HORIZONTAL
-            turned = rotate(about_axis(1, np.array(-_heading(joints[0]))), begin)
-            steps = np.stack([2 * turned[0] - turned[1], turned[0]])  # the step into the end is that out of the start
-            places[-2:], axes[-2:] = _at(steps, joints, frames - 1), True
+            first = BodyFrame.of(joints[0]).to_body(joints[:2])
+            steps = np.stack([2 * first[0] - first[1], first[0]])  # the step into the end is that out of the start
+            places[-2:], axes[-2:] = BodyFrame.of(joints[-1]).to_world(steps), True
     return places, axes
 
 
@@ -114,18 +115,3 @@ def _missed_degrees(constraint: Constraint, joints: Floats, fps: float) -> float
         return None
     off = facing_angle(joints.astype(np.float32)) - wanted
     return float(np.degrees(np.abs((off + np.pi) % (2 * np.pi) - np.pi)[at].mean()))
-
-
-def _heading(pose: Floats) -> float:
-    return float(facing_angle(pose[None].astype(np.float32))[0])
-
-
-def _centred(pose: DoubleArray) -> DoubleArray:
-    """Move a pose (22, 3) above the origin and turn it to +Z."""
-    return np.asarray(rotate(about_axis(1, np.array(-_heading(pose))), pose - pose[PELVIS] * HORIZONTAL))
-
-
-def _at(poses: DoubleArray, joints: Floats, frame: int) -> DoubleArray:
-    """Place centred poses (n, 22, 3) where the pelvis of a frame is, turned as that body is."""
-    turned = rotate(about_axis(1, np.array(_heading(joints[frame]))), poses)
-    return np.asarray(turned + joints[frame, PELVIS] * HORIZONTAL)

@@ -10,12 +10,12 @@ from __future__ import annotations
 
 from collections import OrderedDict
 from collections.abc import Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import fields, replace
 from typing import Any, Final
 
 import numpy as np
 
-from kinegraph.arrays import DoubleArray, FloatArray
+from kinegraph.arrays import FloatArray
 from kinegraph.clip import Clip
 from kinegraph.constraints import (
     POSE_SECONDS,
@@ -32,8 +32,8 @@ from kinegraph.diffusion.sampling import OnStep, subrange_progress
 from kinegraph.errors import InvalidInputError
 from kinegraph.graph import SemanticGraph
 from kinegraph.limits import MAX_PARTS
-from kinegraph.motion.quaternions import about_axis, rotate
-from kinegraph.motion.skeleton import HORIZONTAL, PELVIS, facing_angle
+from kinegraph.motion.body_frame import BodyFrame, append_part
+from kinegraph.motion.skeleton import start_at_origin
 from kinegraph.options import (
     Guidance,
     Steps,
@@ -48,31 +48,6 @@ from kinegraph.placements import misses_of
 
 PATH_STEP: Final = 0.2
 """Seconds between two points of a part's piece of a path."""
-
-
-@dataclass(frozen=True)
-class Placement:
-    """Where a part's own frame is in the whole clip."""
-
-    position: DoubleArray
-    """(3,) metres; the height is 0."""
-    heading: float
-    """Radians from +Z towards +X."""
-
-    def to_whole(self, joints: FloatArray) -> FloatArray:
-        """Bring joints (..., 3) of the part into the whole clip."""
-        turned = rotate(about_axis(1, np.array(self.heading)), joints.astype(np.float64))
-        return np.asarray(turned + self.position, dtype=np.float32)
-
-    def to_part(self, points: Any) -> DoubleArray:
-        """Bring points (..., 3) of the whole clip into the part."""
-        moved = np.asarray(points, dtype=np.float64) - self.position
-        return np.asarray(rotate(about_axis(1, np.array(-self.heading)), moved))
-
-    def floor_to_part(self, points: Any) -> DoubleArray:
-        """Bring points (..., 2) on the floor, x and z, into the part."""
-        flat = np.asarray(points, dtype=np.float64)
-        return self.to_part(np.stack([flat[..., 0], np.zeros(flat.shape[:-1]), flat[..., 1]], axis=-1))[..., [0, 2]]
 
 
 class PartMemory:
@@ -138,11 +113,12 @@ def generate_timeline(
     clips: list[Clip] = []
     for index, (text, count) in enumerate(zip(texts, frames, strict=True)):
         lead = 0 if whole is None else overlap
-        placement = Placement(np.zeros(3), 0.0) if whole is None else placement_of(whole[-overlap])
+        frame = BodyFrame(np.zeros(3), 0.0) if whole is None else BodyFrame.of(whole[-overlap])
         span = (0.0 if index == 0 else float(ends[index - 1]), float(ends[index]))
-        wanted = localised(constraints, span, float(ends[-1]), lead / fps, placement)
+        wanted = localised(constraints, span, float(ends[-1]), lead / fps, frame)
         if whole is not None:
-            wanted = (StartPose(whole[-overlap:], fps=fps), *wanted)
+            # near the origin, however far the whole has come
+            wanted = (StartPose(start_at_origin(whole[-overlap:]), fps=fps), *wanted)
         options: dict[str, Any] = {"seconds": (count + lead) / fps, "seed": seeds[index], "steps": steps}
         options |= {"guidance": guidance, "foot_fix": foot_fix, "constraint_weight": constraint_weight}
         key = (text, *options.items(), *map(_fingerprint, wanted))
@@ -153,7 +129,7 @@ def generate_timeline(
             if memory is not None:
                 memory.keep(key, clip)
         clips.append(clip)
-        whole = clip.joints if whole is None else joined(whole, placement.to_whole(clip.joints), lead)
+        whole = clip.joints if whole is None else append_part(whole, clip.joints, lead)
     assert whole is not None
     unknown = {words.text.lower(): words for clip in clips for words in clip.unknown}
     return replace(
@@ -182,20 +158,8 @@ def _check_times(constraints: Sequence[Constraint], whole: float) -> None:
             raise InvalidInputError(f"constraints[{index}]: {latest:g} s is behind the end, at {whole:g} s")
 
 
-def placement_of(pose: FloatArray) -> Placement:
-    """Tell where a clip is that begins in a pose (22, 3) of the whole."""
-    return Placement(pose[PELVIS].astype(np.float64) * HORIZONTAL, float(facing_angle(pose[None])[0]))
-
-
-def joined(before: FloatArray, after: FloatArray, overlap: int) -> FloatArray:
-    """Join two motions (frames, 22, 3) whose last and first `overlap` frames are nearly the same, fading over them."""
-    share = (np.arange(1, overlap + 1) / (overlap + 1))[:, None, None]
-    faded = (1 - share) * before[-overlap:] + share * after[:overlap]
-    return np.concatenate([before[:-overlap], faded.astype(np.float32), after[overlap:]])
-
-
 def localised(
-    constraints: Sequence[Constraint], span: tuple[float, float], whole: float, lead: float, placement: Placement
+    constraints: Sequence[Constraint], span: tuple[float, float], whole: float, lead: float, frame: BodyFrame
 ) -> tuple[Constraint, ...]:
     """Bring the constraints that fall into a part into its own frame.
 
@@ -204,7 +168,7 @@ def localised(
         span: begin and end of the part, seconds of the whole clip.
         whole: seconds of the whole clip.
         lead: seconds of the part before `span` begins, which overlap with the part before.
-        placement: of the part.
+        frame: of the part.
     """
     begin, end = span
     is_last = end >= whole - 1e-9
@@ -216,17 +180,17 @@ def localised(
             case EndPose():
                 found += [constraint] if is_last else []
             case Path():
-                found += _piece(constraint, span, whole, lead, placement)
+                found += _piece(constraint, span, whole, lead, frame)
             case JointTarget():
-                found += _held(constraint, span, is_last, lead, placement)
+                found += _held(constraint, span, is_last, lead, frame)
             case Waypoint() if _is_in(constraint.seconds, span, is_last):
                 heading = constraint.heading
-                own = None if heading is None else heading - float(np.degrees(placement.heading))
-                x, z = placement.floor_to_part(constraint.position)
+                own = None if heading is None else heading - float(np.degrees(frame.heading))
+                x, z = frame.floor_to_body(constraint.position)
                 moment = constraint.seconds - begin + lead
                 found.append(replace(constraint, seconds=moment, position=(float(x), float(z)), heading=own))
             case Keyframe() if _is_in(constraint.seconds, span, is_last):
-                joints = placement.to_part(constraint.joints).astype(np.float32)
+                joints = frame.to_body(constraint.joints).astype(np.float32)
                 found.append(replace(constraint, seconds=constraint.seconds - begin + lead, joints=joints))
             case _:
                 pass
@@ -239,7 +203,7 @@ def _is_in(moment: float, span: tuple[float, float], is_last: bool) -> bool:
 
 
 def _held(
-    target: JointTarget, span: tuple[float, float], is_last: bool, lead: float, placement: Placement
+    target: JointTarget, span: tuple[float, float], is_last: bool, lead: float, frame: BodyFrame
 ) -> list[Constraint]:
     """The part's share of a joint that is held at a place."""
     begin, end = target.interval
@@ -252,7 +216,7 @@ def _held(
         if last <= first:
             return []
         moments = (first - span[0] + lead, last - span[0] + lead)
-    position = placement.to_part([0.0 if value is None else value for value in target.position]).tolist()
+    position = frame.to_body([0.0 if value is None else value for value in target.position]).tolist()
     if target.position[0] is None or target.position[2] is None:
         # in a part that is turned, an axis of the floor that is free is no axis of the part
         free = (None, position[1], None)
@@ -261,7 +225,7 @@ def _held(
     return [replace(target, position=(position[0], height, position[2]), seconds=moments)]
 
 
-def _piece(path: Path, span: tuple[float, float], whole: float, lead: float, placement: Placement) -> list[Constraint]:
+def _piece(path: Path, span: tuple[float, float], whole: float, lead: float, frame: BodyFrame) -> list[Constraint]:
     """The part's piece of a path."""
     moments = path.moments(whole)
     first, last = max(float(moments[0]), span[0]), min(float(moments[-1]), span[1])
@@ -273,8 +237,8 @@ def _piece(path: Path, span: tuple[float, float], whole: float, lead: float, pla
     heading = path.heading
     if isinstance(heading, np.ndarray):
         angles = path.headings(times, whole)
-        heading = None if angles is None else np.degrees(angles - placement.heading)
-    points = placement.floor_to_part(path.positions(times, whole))
+        heading = None if angles is None else np.degrees(angles - frame.heading)
+    points = frame.floor_to_body(path.positions(times, whole))
     return [Path(points, times - span[0] + lead, heading, path.weight)]
 
 

@@ -13,10 +13,13 @@ from kinegraph import Clip, EndPose, InvalidInputError, JointTarget, Keyframe, L
 from kinegraph.constraints import describe, joint_name
 from kinegraph.feasibility import check_constraints, frame_of
 from kinegraph.limits import MAX_CONSTRAINTS, MAX_KEYFRAMES, MAX_PATH_POINTS, MAX_POSE_FRAMES
+from kinegraph.motion.kinematics import REST_OFFSETS, forward_kinematics, rest_pose, rotations_from_positions
+from kinegraph.motion.quaternions import to_matrix
 from kinegraph.motion.skeleton import JOINT_NAMES, PELVIS, facing_angle
 from support.motions import t_pose, walk
 
 LONG = 1e400  # infinity, as JSON readers make it
+IDENTITIES = np.tile([1.0, 0.0, 0.0, 0.0], (22, 1))
 
 
 def clip(frames: int = 60, fps: float = 20.0, **how: Any) -> Clip:
@@ -70,6 +73,13 @@ def test_constraints_are_public(name: str) -> None:
         (lambda: Keyframe(1, np.full((22, 3), np.nan)), "not finite"),
         (lambda: Keyframe(1, t_pose()[0], anywhere=1), "anywhere must be True or False"),
         (lambda: Keyframe.of(clip(), 3.5), "has 3 s and no pose at 3.5 s"),
+        (lambda: Keyframe.from_rotations(1, IDENTITIES[:21], (0, 1, 0)), r"shape \(21, 4\)"),
+        (lambda: Keyframe.from_rotations(1, np.zeros((22, 4)), (0, 1, 0)), "hold no rotation at index 0"),
+        (lambda: Keyframe.from_rotations(1, -np.tile(np.eye(3), (22, 1, 1)), (0, 1, 0)), "no rotation at index 0"),
+        (lambda: Keyframe.from_rotations(1, np.full((22, 3, 3), math.nan), (0, 1, 0)), "not finite"),
+        (lambda: Keyframe.from_rotations(1, [[[[[]]]]], (0, 1, 0)), "have shape"),
+        (lambda: Keyframe.from_rotations(1, IDENTITIES, (0, 1)), "the root of a keyframe have shape"),
+        (lambda: Keyframe.from_rotations(1, IDENTITIES, (0, 1, 0), np.zeros((22, 2))), "rest_offsets"),
         (lambda: Keyframe.of(t_pose(), 0), "taken from a Clip"),
         (lambda: StartPose(t_pose(MAX_POSE_FRAMES + 1)), "1 to 40 frames, not 41"),
         (lambda: StartPose(np.zeros((0, 22, 3))), "not 0"),
@@ -82,6 +92,22 @@ def test_constraints_are_public(name: str) -> None:
 def test_wrong_values_are_named(make: Any, message: str) -> None:
     with pytest.raises(InvalidInputError, match=message):
         make()
+
+
+def test_rotations_pose_the_body_as_they_do_in_a_clip() -> None:
+    joints = walk(30, turning=0.04)
+    motion = rotations_from_positions(joints, 20.0)
+    solved = forward_kinematics(motion.rest_offsets, motion.root, motion.rotations)
+    turns, root = motion.rotations[17], motion.root[17]
+    for given in (turns, to_matrix(turns), to_matrix(turns).tolist(), -turns):  # -q turns as q does
+        keyframe = Keyframe.from_rotations(1.5, given, root, motion.rest_offsets, weight=2, anywhere=True)
+        np.testing.assert_allclose(keyframe.joints, solved[17], atol=1e-6)
+        np.testing.assert_allclose(keyframe.joints, joints[17], atol=motion.error.max() + 1e-6)
+    assert (keyframe.seconds, keyframe.weight, keyframe.anywhere) == (1.5, 2, True)
+    ours = Keyframe.from_rotations(1, IDENTITIES, (0.5, 0.95, 0))
+    standing = rest_pose(REST_OFFSETS)
+    np.testing.assert_allclose(ours.joints - ours.joints[0], standing - standing[0], atol=1e-6)
+    assert ours.joints[PELVIS].tolist() == pytest.approx([0.5, 0.95, 0])
 
 
 def test_arrays_are_copied_and_frozen() -> None:

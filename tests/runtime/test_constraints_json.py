@@ -14,6 +14,7 @@ import pytest
 from kinegraph import EndPose, InvalidInputError, JointTarget, Keyframe, Loop, Path, StartPose, Waypoint
 from kinegraph.formats import constraints_json, kimodo_json
 from kinegraph.formats.constraints_json import decode, encode, parse, read
+from kinegraph.motion.kinematics import forward_kinematics, rotations_from_positions
 from kinegraph.motion.skeleton import JOINT_INDEX, facing_angle
 from support.motions import walk
 
@@ -212,6 +213,26 @@ def test_wrong_entries_of_kimodo_are_named(change: dict[str, Any], message: str)
 def test_missing_keys_of_kimodo_are_named() -> None:
     with pytest.raises(InvalidInputError, match="a root2d needs the key 'smooth_root_2d'"):
         decode([{"type": "root2d", "frame_indices": [0]}])
+
+
+def test_a_keyframe_can_be_rotations() -> None:
+    motion = rotations_from_positions(walk(12), 20.0)
+    entry = {
+        "type": "keyframe",
+        "seconds": 1,
+        "rotations": motion.rotations[5].tolist(),
+        "root": motion.root[5].tolist(),
+    }
+    (posed,) = decode([entry | {"rest_offsets": motion.rest_offsets.tolist(), "anywhere": True}])
+    assert isinstance(posed, Keyframe) and posed.anywhere
+    solved = forward_kinematics(motion.rest_offsets, motion.root, motion.rotations)
+    np.testing.assert_allclose(posed.joints, solved[5], atol=1e-6)
+    assert len(decode([entry])) == 1
+    for change, message in (({"joints": []}, "unknown key .joints."), ({"root": [0, 1]}, "the root of a keyframe")):
+        with pytest.raises(InvalidInputError, match=message):
+            decode([entry | change])
+    with pytest.raises(InvalidInputError, match=r"needs the key .root\W"):
+        decode([{key: value for key, value in entry.items() if key != "root"}])
 
 
 def test_more_places_than_a_clip_may_have_are_refused() -> None:

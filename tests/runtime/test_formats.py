@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import json
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from kinegraph.clip import Clip
+from kinegraph.constraints import Miss
 from kinegraph.errors import InvalidInputError
-from kinegraph.formats import encode
+from kinegraph.formats import encode, read
 from kinegraph.formats.npz import read_npz
 from kinegraph.motion.skeleton import JOINT_NAMES, PARENTS
 from support.motions import walk
@@ -75,6 +77,16 @@ def test_npz_comes_back(tmp_path: Path, text: str) -> None:
     assert (back.fps, back.seed, back.text, back.bundle) == (29.97, 2**40, text, "edge 1.2")
 
 
+@pytest.mark.parametrize("suffix", [".npz", ".json"])
+def test_misses_come_back(tmp_path: Path, suffix: str) -> None:
+    misses = (Miss("path of 4 m", 0.013, 0.151, 7.6), Miss("left_wrist at 1 s – 手", 0.0, 0.0))
+    saved = replace(clip(walk(3)), misses=misses)
+    saved.save(tmp_path / f"x{suffix}")
+    assert read(tmp_path / f"x{suffix}").misses == misses
+    clip(walk(3)).save(tmp_path / f"without{suffix}")
+    assert read(tmp_path / f"without{suffix}").misses == ()
+
+
 @pytest.mark.parametrize("suffix", [".npz", ".bvh", ".json"])
 def test_equal_clips_give_equal_bytes_at_any_time(monkeypatch: pytest.MonkeyPatch, suffix: str) -> None:
     first = encode(clip(walk(20)), suffix)
@@ -94,6 +106,8 @@ def fields(**changes: object) -> dict[str, object]:
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
+        ({"misses": '[{"what": "path", "metres": 1}]'}, "a miss must be an object with the keys what, metres"),
+        ({"misses": '[{"what": "path", "metres": null, "worst": 1, "degrees": null}]'}, "by how much"),
         ({"joint_names": JOINT_NAMES[::-1]}, "other joints"),
         ({"text": ["a", "b"]}, "single value"),
         ({"joints": np.zeros((3, 5, 3))}, "shape"),

@@ -10,25 +10,14 @@ import pytest
 from kinegraph import MotionPipeline
 from kinegraph.constraints import EndPose, JointTarget, Keyframe, Loop, Path, StartPose, Waypoint
 from kinegraph.errors import InvalidInputError
-from kinegraph.motion.skeleton import JOINT_INDEX, PELVIS, facing_angle
-from kinegraph.timeline import PartMemory, Placement, generate_timeline, joined, localised, placement_of
+from kinegraph.motion.body_frame import BodyFrame
+from kinegraph.motion.skeleton import JOINT_INDEX
+from kinegraph.timeline import PartMemory, generate_timeline, localised
 from support.motions import walk
 
-WHERE = Placement(np.array([1.0, 0.0, 2.0]), np.pi / 2)
+WHERE = BodyFrame(np.array([1.0, 0.0, 2.0]), np.pi / 2)
 """A part that begins at (1, 2) and faces +X."""
 TEXTS = ["a person walks", "a person waves", "a person walks"]
-
-
-def test_a_placement_brings_a_part_where_the_whole_has_it() -> None:
-    ahead = np.array([0.0, 1.5, 1.0])  # a metre ahead is a metre towards +X
-    np.testing.assert_allclose(WHERE.to_whole(ahead.astype(np.float32)), [2.0, 1.5, 2.0], atol=1e-6)
-    np.testing.assert_allclose(WHERE.to_part([2.0, 1.5, 2.0]), ahead, atol=1e-9)
-    np.testing.assert_allclose(WHERE.floor_to_part([[2.0, 2.0], [1.0, 3.0]]), [[0, 1], [-1, 0]], atol=1e-9)
-    pose = walk(30)[20]
-    there = placement_of(WHERE.to_whole(pose))
-    back = there.to_part(WHERE.to_whole(pose))
-    np.testing.assert_allclose(back[PELVIS, [0, 2]], 0, atol=1e-5)
-    assert float(facing_angle(back[None].astype(np.float32))[0]) == pytest.approx(0, abs=1e-5)
 
 
 def test_each_part_gets_what_falls_into_it_in_its_own_time_and_place() -> None:
@@ -44,7 +33,7 @@ def test_each_part_gets_what_falls_into_it_in_its_own_time_and_place() -> None:
     assert waypoint.seconds == pytest.approx(1.2) and waypoint.heading == pytest.approx(0)
     np.testing.assert_allclose(waypoint.position, (0, 1), atol=1e-9)
     assert keyframe.seconds == pytest.approx(0.7)
-    np.testing.assert_allclose(keyframe.joints, WHERE.to_part(key.joints), atol=1e-5)
+    np.testing.assert_allclose(keyframe.joints, WHERE.to_body(key.joints), atol=1e-5)
     assert [type(one) for one in share(4.0, 6.0)] == [EndPose]
     at_end = localised([Waypoint(6.0, (0, 1)), Waypoint(2.0, (0, 1))], (4.0, 6.0), 6.0, 0.2, WHERE)
     assert [one.seconds for one in at_end] == pytest.approx([2.2])  # type: ignore[union-attr]
@@ -52,8 +41,8 @@ def test_each_part_gets_what_falls_into_it_in_its_own_time_and_place() -> None:
 
 def test_a_path_is_cut_into_the_pieces_of_the_parts() -> None:
     path = Path([[0, 0], [0, 3], [3, 3]], heading=[0, 0, 90])
-    turned = Placement(np.array([0.0, 0.0, 3.0]), np.pi / 2)
-    (first,) = localised([path], (0.0, 3.0), 6.0, 0.0, Placement(np.zeros(3), 0.0))
+    turned = BodyFrame(np.array([0.0, 0.0, 3.0]), np.pi / 2)
+    (first,) = localised([path], (0.0, 3.0), 6.0, 0.0, BodyFrame(np.zeros(3), 0.0))
     (second,) = localised([path], (3.0, 6.0), 6.0, 0.2, turned)
     assert isinstance(first, Path) and isinstance(second, Path) and first.times is not None
     np.testing.assert_allclose(first.points[[0, -1]], [[0, 0], [0, 3]], atol=1e-9)
@@ -72,12 +61,6 @@ def test_a_joint_that_is_held_over_a_join_is_held_in_both_parts() -> None:
     np.testing.assert_allclose(after.position, (0, 1.5, 1), atol=1e-9)  # type: ignore[arg-type]
     (high,) = localised([JointTarget("head", (None, 1.2, None), 1.0)], (0.0, 2.0), 6.0, 0.0, WHERE)
     assert isinstance(high, JointTarget) and high.position == (None, 1.2, None)
-
-
-def test_motions_are_joined_over_frames_that_are_the_same() -> None:
-    motion = walk(40)
-    whole = joined(motion[:24], motion[20:], 4)
-    np.testing.assert_allclose(whole, motion, atol=1e-6)
 
 
 @pytest.fixture

@@ -106,7 +106,7 @@ def describe_misses(misses: Sequence[Miss]) -> list[str]:
 
 def miss_records(misses: Sequence[Miss]) -> list[dict[str, Any]]:
     """Convert misses to JSON."""
-    return [{"what": miss.what, "metres": miss.metres, "worst": miss.worst, "degrees": miss.degrees} for miss in misses]
+    return [miss.to_dict() for miss in misses]
 
 
 def _length(metres: float) -> str:

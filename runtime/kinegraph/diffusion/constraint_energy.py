@@ -14,9 +14,9 @@ import numpy as np
 from kinegraph.arrays import DoubleArray, Floats
 from kinegraph.constraints import Constraint, EndPose, JointTarget, Keyframe, Loop, Path, StartPose, Waypoint
 from kinegraph.feasibility import frame_of
+from kinegraph.motion.body_frame import BodyFrame
 from kinegraph.motion.energies import Energy, heading_energy, loop_energy, pose_energy, position_energy
-from kinegraph.motion.quaternions import about_axis, rotate
-from kinegraph.motion.skeleton import HORIZONTAL, JOINTS, PELVIS, facing_angle
+from kinegraph.motion.skeleton import JOINTS, PELVIS
 
 Term = Callable[[Floats], Energy]
 """Joints (frames, 22, 3) -> energy and gradient."""
@@ -68,7 +68,7 @@ def _term(constraint: Constraint, frames: int, fps: float, leading: bool) -> Ter
             frame = frame_of(constraint.seconds, frames, fps)
             pose = constraint.joints.astype(np.float64)
             if constraint.anywhere:
-                placed = _placed(pose)
+                placed = BodyFrame.of(pose).to_body(pose)[None]
                 share = np.full(1, weight / JOINTS)
                 return lambda joints: pose_energy(joints, placed, frame, frame, share, 0.0)
             target, weights = np.zeros((frames, JOINTS, 3)), np.zeros((frames, JOINTS, 3))
@@ -132,11 +132,3 @@ def _joint_term(wanted: JointTarget, frames: int, fps: float, leading: bool) -> 
         share = np.maximum(share, wanted.weight * LEAD_WEIGHT * np.exp(-0.5 * beside**2))
     weights[:, wanted.index, axes] = share[:, None]
     return lambda joints: position_energy(joints, target, weights)
-
-
-def _placed(pose: DoubleArray) -> DoubleArray:
-    """Move a pose (22, 3) above the origin and turn it to +Z; returns (1, 22, 3)."""
-    heading = float(facing_angle(pose[None].astype(np.float32))[0])
-    return np.asarray(rotate(about_axis(1, np.array(-heading)), pose - pose[PELVIS] * HORIZONTAL), dtype=np.float64)[
-        None
-    ]

@@ -4,6 +4,7 @@
     {"type": "waypoint", "seconds": 2.5, "position": [1, 2], "heading": 90, "weight": 1}
     {"type": "joint", "joint": "left hand", "position": [0.3, 1.5, null], "seconds": 2 or [2, 3], "weight": 1}
     {"type": "keyframe", "seconds": 1, "joints": 22 of [x, y, z], "anywhere": false, "weight": 1}
+    {"type": "keyframe", "seconds": 1, "rotations": 22 of [w, x, y, z], "root": [0, 0.9, 0]}: `Keyframe.from_rotations`
     {"type": "start", "joints": frames of 22 of [x, y, z], "fps": 20, "weight": 1}     the same for "end"
     {"type": "loop", "weight": 1}
 
@@ -42,7 +43,9 @@ TYPES: Final[dict[str, type]] = {
     "loop": Loop,
 }
 """Type of an entry -> its class, whose fields are its keys."""
-_OPTIONAL: Final = frozenset(("times", "heading", "weight", "anywhere", "fps"))
+_POSED_KEYS: Final = ("seconds", "rotations", "root", "rest_offsets", "weight", "anywhere")
+"""Keys of a keyframe by rotations: the arguments of `Keyframe.from_rotations`."""
+_OPTIONAL: Final = frozenset(("times", "heading", "weight", "anywhere", "fps", "rest_offsets"))
 
 
 def read(path: str | os.PathLike[str]) -> tuple[Constraint, ...]:
@@ -137,6 +140,8 @@ def _decode_entry(entry: object) -> list[Constraint]:
         raise InvalidInputError(f"there is no type {short_repr(kind)}; the types are {allowed}")
     make: Callable[..., Constraint] = TYPES[kind]
     names = [field.name for field in fields(TYPES[kind])]
+    if make is Keyframe and "rotations" in entry:
+        make, names = Keyframe.from_rotations, list(_POSED_KEYS)
     for key in entry:
         if key != "type" and key not in names:
             raise InvalidInputError(f"unknown key {short_repr(key)}; a {kind} has {', '.join(names)}")

@@ -9,6 +9,7 @@ Holds what `.npz` holds, and the solved skeleton:
     seed            a string, because JavaScript's integers end at 2**53
     unknown         words that the bundle was never shown: objects of text, start, end, nearest, reason
     notes           strings: what of the text could not be honoured
+    misses          how far the clip is from its constraints: objects of what, metres, worst, degrees
 """
 
 from __future__ import annotations
@@ -20,6 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinegraph.errors import InvalidInputError
+from kinegraph.formats.npz import read_misses
 from kinegraph.motion.kinematics import rotations_from_positions
 from kinegraph.motion.skeleton import JOINT_NAMES, PARENTS
 from kinegraph.unknown import Unknown, read_list
@@ -40,6 +42,7 @@ def encode(clip: Clip) -> bytes:
         "bundle": clip.bundle,
         "unknown": [words.to_dict() for words in clip.unknown],
         "notes": clip.notes,
+        "misses": [miss.to_dict() for miss in clip.misses],
         "fps": clip.fps,
         "joint_names": JOINT_NAMES,
         "parents": PARENTS,
@@ -65,9 +68,10 @@ def decode(data: bytes) -> dict[str, Any]:
             raise InvalidInputError(f"it has other joints; kinegraph reads {', '.join(JOINT_NAMES)}")
         joints = np.array(document["joints"], dtype=np.float64)
         fields = {name: document[name] for name in ("text", "bundle", "fps")}
-        # files of older versions have neither of the two
-        unknown, notes = (read_list(document.get(name, []), name) for name in ("unknown", "notes"))
+        # files of older versions have none of the three
+        unknown, notes, misses = (read_list(document.get(name, []), name) for name in ("unknown", "notes", "misses"))
         fields |= {"unknown": tuple(map(Unknown.from_dict, unknown)), "notes": tuple(notes)}
+        fields["misses"] = read_misses(misses)
         return {"joints": joints, "seed": parse_seed(document["seed"]), **fields}
     except KeyError as error:
         raise InvalidInputError(f"it has no {error}") from error

@@ -23,7 +23,7 @@ from kinegraph.arrays import DoubleArray
 from kinegraph.constraints import Constraint, JointTarget, Keyframe, Path, Waypoint
 from kinegraph.errors import InvalidInputError
 from kinegraph.limits import MAX_CONSTRAINTS, MAX_PATH_POINTS
-from kinegraph.motion.kinematics import forward_kinematics
+from kinegraph.motion.kinematics import REST_OFFSETS, forward_kinematics
 from kinegraph.motion.quaternions import multiply
 from kinegraph.motion.skeleton import JOINT_INDEX, JOINT_NAMES, JOINTS
 from kinegraph.validation import short_repr, whole_number
@@ -76,15 +76,6 @@ _BODIES: Final[dict[int, dict[str, int]]] = {
 }
 """Number of joints of a body -> our joint -> its index there."""
 
-_REST: Final = 0.01 * np.array(
-    [
-        (0, 0, 0), (6.2, -7.5, -4.5), (-6.2, -7.5, -4.5), (0, 13.2, 0), (0, -39.2, 0), (0, -39.2, 0), (0, 14.3, 0),
-        (0, -42.9, 0), (0, -42.9, 0), (0, 5.7, 0), (0, -6.6, 13), (0, -6.6, 13), (0, 21.9, 0), (7.5, 11.8, 0),
-        (-7.5, 11.8, 0), (0, 10.3, 0), (12.7, 0, 0), (-12.7, 0, 0), (26, 0, 0), (-26, 0, 0), (26.8, 0, 0),
-        (-26.8, 0, 0),
-    ]
-)  # fmt: skip
-"""(22, 3) metres from the parent in a T-pose: the body of the default bundle."""
 _HEIGHT_RATIO: Final = 0.95
 """Height of our pelvis over that of their bodies, 0.95 m to 1 m when standing."""
 
@@ -169,7 +160,7 @@ def _poses(entry: Mapping[str, Any], frames: int) -> DoubleArray:
     if count != JOINTS:
         neck = JOINT_INDEX["neck"]
         ours[:, neck] = multiply(ours[:, neck], rotations[:, _SECOND_NECK])
-    return np.asarray(forward_kinematics(_REST, roots, ours), dtype=np.float64)
+    return np.asarray(forward_kinematics(REST_OFFSETS, roots, ours), dtype=np.float64)
 
 
 def _from_rotation_vectors(vectors: DoubleArray) -> DoubleArray:

@@ -1,7 +1,7 @@
 """`.npz`: the clip as NumPy arrays, without pickle; the format that keeps everything.
 
 Holds `joints` (frames, 22, 3) float32 metres, `fps`, `seed`, `text`, `joint_names`, `bundle`, and as JSON `graph`,
-`unknown` and `notes` where the clip has them.
+`unknown`, `notes` and `misses` where the clip has them. Versions before 0.7 read it without its misses.
 """
 
 from __future__ import annotations
@@ -24,6 +24,7 @@ from kinegraph.unknown import Unknown, read_list
 
 if TYPE_CHECKING:
     from kinegraph.clip import Clip
+    from kinegraph.constraints import Miss
 
 _EPOCH: Final = (1980, 1, 1, 0, 0, 0)
 """Earliest time that ZIP can store; used for every entry."""
@@ -36,7 +37,8 @@ _NAMES: Final = ("joints", "fps", "seed", "text", "joint_names", "bundle")
 _GRAPH: Final = "graph"
 _UNKNOWN: Final = "unknown"
 _NOTES: Final = "notes"
-_OPTIONAL: Final = (_GRAPH, _UNKNOWN, _NOTES)
+_MISSES: Final = "misses"
+_OPTIONAL: Final = (_GRAPH, _UNKNOWN, _NOTES, _MISSES)
 """JSON texts that a file may lack; those of older versions do."""
 
 
@@ -59,6 +61,8 @@ def encode(clip: Clip) -> bytes:
         arrays[_UNKNOWN] = np.array(_to_json([words.to_dict() for words in clip.unknown]))
     if clip.notes:
         arrays[_NOTES] = np.array(_to_json(clip.notes))
+    if clip.misses:
+        arrays[_MISSES] = np.array(_to_json([miss.to_dict() for miss in clip.misses]))
     buffer = io.BytesIO()
     with zipfile.ZipFile(buffer, "w", zipfile.ZIP_STORED) as archive:
         for name in arrays:
@@ -102,13 +106,27 @@ def decode(data: bytes) -> dict[str, Any]:
             raise InvalidInputError(f"{', '.join(not_scalar)} must be a single value each")
         values = {name: value.item() for name, value in fields.items()}
         graph = SemanticGraph.from_json(values.pop(_GRAPH)) if _GRAPH in values else None
-        unknown, notes = (read_list(json.loads(values.pop(name, "[]")), name) for name in (_UNKNOWN, _NOTES))
-        words = tuple(map(Unknown.from_dict, unknown))
+        lists = {name: read_list(json.loads(values.pop(name, "[]")), name) for name in (_UNKNOWN, _NOTES, _MISSES)}
+        words, misses = tuple(map(Unknown.from_dict, lists[_UNKNOWN])), read_misses(lists[_MISSES])
     except InvalidInputError:
         raise
     except UNREADABLE as error:
         raise InvalidInputError(str(error)) from error
-    return {"joints": joints, "graph": graph, "unknown": words, "notes": tuple(notes), **values}
+    notes = tuple(lists[_NOTES])
+    return {"joints": joints, "graph": graph, "unknown": words, "notes": notes, "misses": misses, **values}
+
+
+def read_misses(values: Sequence[object]) -> tuple[Miss, ...]:
+    """Read misses from parsed JSON; their type is loaded only where there are any.
+
+    Raises:
+        InvalidInputError: they are something else.
+    """
+    if not values:
+        return ()
+    from kinegraph.constraints import Miss
+
+    return tuple(map(Miss.from_dict, values))
 
 
 def _to_json(value: Sequence[Any]) -> str:

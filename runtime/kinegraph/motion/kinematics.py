@@ -97,6 +97,16 @@ def _rest_direction(name: str) -> tuple[float, float, float]:
 REST_DIRECTIONS: Final[Floats] = normalised(np.array([_rest_direction(name) for name in JOINT_NAMES]))
 """(22, 3) unit vectors from the parent in the T-pose; `rest_offsets` fits those of the children of pelvis and chest."""
 
+REST_OFFSETS: Final[Floats] = 0.01 * np.array(
+    [
+        (0, 0, 0), (6.2, -7.5, -4.5), (-6.2, -7.5, -4.5), (0, 13.2, 0), (0, -39.2, 0), (0, -39.2, 0), (0, 14.3, 0),
+        (0, -42.9, 0), (0, -42.9, 0), (0, 5.7, 0), (0, -6.6, 13), (0, -6.6, 13), (0, 21.9, 0), (7.5, 11.8, 0),
+        (-7.5, 11.8, 0), (0, 10.3, 0), (12.7, 0, 0), (-12.7, 0, 0), (26, 0, 0), (-26, 0, 0), (26.8, 0, 0),
+        (-26.8, 0, 0),
+    ]
+)  # fmt: skip
+"""(22, 3) metres from the parent in a T-pose: the body of the default bundle."""
+
 
 @dataclass(frozen=True)
 class SkeletonMotion:
