@@ -31,7 +31,7 @@ from kinegraph.decoding import MotionDecoder
 from kinegraph.denoising import LatentSampler, OnLatent, sample_hierarchy
 from kinegraph.diffusion.composition import CompositionWeights
 from kinegraph.diffusion.constraint_energy import Term, constraint_terms, total_energy
-from kinegraph.diffusion.descent import Limits, descend
+from kinegraph.diffusion.descent import Evaluation, Limits, descend
 from kinegraph.diffusion.sampling import DdimCoefficients, OnStep, PredictNoise, StepInfo, is_stop
 from kinegraph.errors import Cancelled, InvalidInputError
 from kinegraph.feasibility import check_constraints
@@ -48,6 +48,8 @@ from kinegraph.validation import check_flag, finite_number, short_repr
 
 MAX_PULL: Final = 0.5
 """Largest root mean square by which one step moves the clean latent, whose channels have a deviation of 1."""
+FIRST_PULL: Final = 1
+"""Step of a level from which on it is pulled, or its last."""
 MAX_LATENT: Final = 1.3
 """Largest root mean square of a pulled latent: further out the decoder knows no motion, whatever is wanted."""
 DESCENT_STEPS: Final = 14
@@ -357,17 +359,21 @@ class DecodedEnergy:
         mean, std = np.array(self.manifest.features.mean), np.array(self.manifest.features.std)
         return np.asarray(features[0, : self.frames] * std + mean)
 
-    def __call__(self, latent: FloatArray) -> tuple[float, FloatArray]:
-        """Compute the energy of a latent (1, C, z) and its gradient (1, C, z)."""
+    def __call__(self, latent: FloatArray) -> Evaluation:
+        """Compute the energy of a latent (1, C, z), and how to compute its gradient (1, C, z)."""
         features = self.decode(latent)
         energy, of_joints = total_energy(self.terms, joints_from_features(features).astype(np.float64))
+        return energy, lambda: self._gradient(latent, features, of_joints)
+
+    def _gradient(self, latent: FloatArray, features: DoubleArray, of_joints: Floats) -> FloatArray:
+        """Carry a gradient back from the joints to the latent that they were decoded from."""
         mask = self._mask()
         cotangent = np.zeros((1, mask.shape[1], features.shape[1]), dtype=np.float32)
         cotangent[0, : self.frames] = joints_vjp(features, of_joints) * np.array(self.manifest.features.std)
         inputs = {"latent": latent, "frame_mask": mask, "cotangent": cotangent}
         session = self.sessions.decoder_gradients[self.level]()
         (gradient,) = run_model(session, ["gradient"], inputs, "the gradient of the decoder")
-        return energy, gradient
+        return gradient
 
     def _mask(self) -> FloatArray:
         group = self.manifest.frames.per_token
@@ -388,11 +394,12 @@ class ConstrainedPrediction:
 
     def __call__(self, latents: FloatArray, index: int) -> FloatArray:
         noise = self.predict(latents, index)
-        if index == 0 and len(self.alpha_bar) > 1:
+        if index < min(FIRST_PULL, len(self.alpha_bar) - 1):
             return noise  # the clean estimate is noise yet: a pull here changes nothing that later ones do not
         alpha = float(self.alpha_bar[index])
         clean = ((latents - np.sqrt(1.0 - alpha) * noise) / np.sqrt(alpha)).astype(np.float32)
-        pulled = clean - np.float32(self.weight) * polyak_pull(*self.energy(clean))
+        energy, gradient = self.energy(clean)
+        pulled = clean - np.float32(self.weight) * polyak_pull(energy, gradient())
         pulled *= min(1.0, max(MAX_LATENT, _size(clean)) / max(_size(pulled), 1e-12))
         return np.asarray(noise + np.float32(np.sqrt(alpha / (1.0 - alpha))) * (clean - pulled), dtype=np.float32)
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from kinegraph.diffusion.descent import EnergyOf, Limits, descend
+from kinegraph.diffusion.descent import EnergyOf, Evaluation, Limits, descend
 
 RNG = np.random.default_rng(0)
 MATRIX = RNG.normal(size=(6, 12))
@@ -13,9 +13,9 @@ TARGET = RNG.normal(size=6)
 FREE = Limits(steps=60, hold=0.0, away=100.0)
 
 
-def quadratic(latent: np.ndarray) -> tuple[float, np.ndarray]:
+def quadratic(latent: np.ndarray) -> Evaluation:
     residual = MATRIX @ latent.astype(np.float64) - TARGET
-    return 0.5 * float(residual @ residual), (MATRIX.T @ residual).astype(np.float32)
+    return 0.5 * float(residual @ residual), lambda: (MATRIX.T @ residual).astype(np.float32)
 
 
 def test_it_finds_the_minimum_of_a_quadratic() -> None:
@@ -52,11 +52,10 @@ def test_it_stops_where_it_is_told_to(away: float) -> None:
 
 
 def test_it_never_goes_up() -> None:
-    def bumpy(latent: np.ndarray) -> tuple[float, np.ndarray]:
+    def bumpy(latent: np.ndarray) -> Evaluation:
         wide = latent.astype(np.float64)
-        return float((1.0 - np.cos(3.0 * wide)).sum() + (wide**2).sum()), (
-            3.0 * np.sin(3.0 * wide) + 2.0 * wide
-        ).astype(np.float32)
+        value = float((1.0 - np.cos(3.0 * wide)).sum() + (wide**2).sum())
+        return value, lambda: (3.0 * np.sin(3.0 * wide) + 2.0 * wide).astype(np.float32)
 
     energy: EnergyOf = bumpy
     for seed in range(5):

@@ -149,7 +149,7 @@ def stepping() -> np.ndarray:
 
 def test_beside_a_contact_the_toe_takes_the_path_of_least_jerk() -> None:
     toe = stepping()
-    correction = _toe_corrections(toe, FPS)
+    correction = _toe_corrections(toe, FPS, None)
     contacts, ramp = find_contacts(toe, FPS), round(RAMP_SECONDS * FPS)
     assert len(contacts) == 2
     for start, end in contacts:

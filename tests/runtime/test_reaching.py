@@ -123,3 +123,15 @@ def test_a_smooth_field_is_the_least_squares_solution() -> None:
         other = field + np.where(at[:, None], 0.0, rng.normal(0.0, 1e-4, field.shape))
         assert cost(other) > cost(field)
     assert np.abs(field[-1]).max() < 0.01 < np.abs(field[15]).max()
+
+
+def test_a_standing_foot_is_moved_for_as_long_as_it_stands() -> None:
+    motion, toe, ankle = stand(60), JOINT_INDEX["left_foot"], JOINT_INDEX["left_ankle"]
+    wanted = pins(60)
+    for joint in (toe, ankle):
+        wanted.target[30, joint], wanted.wanted[30, joint] = motion[30, joint] + [0.0, 0.0, 0.03], True
+    moved = reach(motion, wanted, rigid(motion), FPS, foot_fix=True)
+    np.testing.assert_allclose(moved[30, toe], wanted.target[30, toe], atol=3e-3)
+    np.testing.assert_allclose(moved[:, toe, 2], motion[:, toe, 2] + 0.03, atol=5e-3)  # also at the first frame
+    slides = reach(motion, wanted, rigid(motion), FPS, foot_fix=False)
+    assert abs(slides[0, toe, 2] - motion[0, toe, 2]) < 5e-3

@@ -15,7 +15,7 @@ import numpy as np
 
 from kinegraph.arrays import DoubleArray, FloatArray
 
-MEMORY: Final = 8
+MEMORY: Final = 20
 """Pairs of steps and changes of the gradient that are kept."""
 MAX_STEP: Final = 0.5
 """Largest root mean square of a step; latents have a deviation of 1."""
@@ -25,8 +25,12 @@ SHRINK: Final = 0.3
 """Factor of a step that did not keep it."""
 TRIES: Final = 3
 
-EnergyOf = Callable[[FloatArray], tuple[float, FloatArray]]
-"""Latent -> energy and gradient, of one shape."""
+Evaluation = tuple[float, Callable[[], FloatArray]]
+"""Energy, and a function that computes its gradient there: a step that is not taken needs none, nor does the last."""
+EnergyOf = Callable[[FloatArray], Evaluation]
+"""Latent -> energy and gradient, which has the shape of the latent."""
+
+_HeldEvaluation = tuple[float, Callable[[], DoubleArray]]
 
 
 @dataclass(frozen=True)
@@ -57,31 +61,33 @@ def descend(
     """
     origin = start.astype(np.float64)
 
-    def held(latent: DoubleArray) -> tuple[float, DoubleArray]:
+    def held(latent: DoubleArray) -> _HeldEvaluation:
         value, slope = energy(latent.astype(np.float32))
         away = latent - origin
         pull = limits.hold * away / away.size
-        return value + 0.5 * limits.hold * float((away**2).mean()), slope.astype(np.float64) + pull
+        return value + 0.5 * limits.hold * float((away**2).mean()), lambda: slope().astype(np.float64) + pull
 
     latent, pairs = origin, deque[tuple[DoubleArray, DoubleArray]](maxlen=MEMORY)
-    value, gradient = held(latent)
+    value, slope = held(latent)
+    gradient = slope()
     for number in range(1, limits.steps + 1):
-        step = _direction(value, gradient, pairs)
-        accepted = _accept(held, latent, value, gradient, step)
+        accepted = _accept(held, latent, value, gradient, _direction(value, gradient, pairs))
         if accepted is None:
             if not pairs:
                 break
             pairs.clear()  # once more along the gradient
         else:
-            step, value, next_gradient = accepted
-            change = next_gradient - gradient
-            if float((step * change).sum()) > 1e-12:
-                pairs.append((step, change))
-            latent, gradient = latent + step, next_gradient
+            step, value, slope = accepted
+            latent = latent + step
             if float(np.sqrt(((latent - origin) ** 2).mean())) > limits.away:
                 break
-        if after is not None and after(number):
+        if (after is not None and after(number)) or number == limits.steps:
             break
+        if accepted is not None:
+            before, gradient = gradient, slope()
+            change = gradient - before
+            if float((step * change).sum()) > 1e-12:
+                pairs.append((step, change))
     return latent.astype(np.float32)
 
 
@@ -105,19 +111,19 @@ def _direction(value: float, gradient: DoubleArray, pairs: deque[tuple[DoubleArr
 
 
 def _accept(
-    held: Callable[[DoubleArray], tuple[float, DoubleArray]],
+    held: Callable[[DoubleArray], _HeldEvaluation],
     latent: DoubleArray,
     value: float,
     gradient: DoubleArray,
     step: DoubleArray,
-) -> tuple[DoubleArray, float, DoubleArray] | None:
-    """Shorten a step until it goes down enough; returns it with energy and gradient, or None."""
+) -> tuple[DoubleArray, float, Callable[[], DoubleArray]] | None:
+    """Shorten a step until it goes down enough; returns it with energy and gradient there, or None."""
     promised = float((gradient * step).sum())
     if promised >= 0:
         return None
     for attempt in range(TRIES):
         factor = SHRINK**attempt
-        next_value, next_gradient = held(latent + factor * step)
+        next_value, next_slope = held(latent + factor * step)
         if next_value <= value + SUFFICIENT * factor * promised:
-            return factor * step, next_value, next_gradient
+            return factor * step, next_value, next_slope
     return None

@@ -127,22 +127,24 @@ def _correction_shares() -> FloatArray:
 _CORRECTION_SHARES: Final = _correction_shares()
 
 
-def lock_feet(joints: FloatArray, fps: float) -> FloatArray:
+def lock_feet(joints: FloatArray, fps: float, aims: Floats | None = None) -> FloatArray:
     """Correct a motion so that planted toes do not slide.
 
-    During a contact the toe is held at its median position; beside it the toe takes the path of least jerk. The whole
-    foot moves with its toe, the knee bends in its own plane, and all bones keep their length.
+    During a contact the toe is held at its median position, or at the mean of where it has to be then; beside it it
+    takes the path of least jerk. The whole foot moves with its toe, the knee bends in its own plane, and all bones keep
+    their length.
 
     Args:
         joints: (frames, 22, 3) metres, Y up.
         fps: frames per second.
+        aims: (frames, 22, 3) metres where joints have to be, NaN where they need not; None is nowhere.
 
     Returns:
         (frames, 22, 3) float32 metres.
     """
     locked = joints.astype(np.float64)
     for hip, knee, ankle, toe in LEGS:
-        correction = _toe_corrections(locked[:, toe], fps)
+        correction = _toe_corrections(locked[:, toe], fps, None if aims is None else aims[:, toe])
         if not correction.any():
             continue
         goal = locked[:, ankle] + correction
@@ -197,14 +199,17 @@ def two_bone_ik(hip: Floats, knee: Floats, ankle: Floats, goal: Floats) -> tuple
     return new_knee, hip + distance[:, None] * along
 
 
-def _toe_corrections(toe: Floats, fps: float) -> Floats:
-    """Compute the horizontal displacement (frames, 3) that locks a toe (frames, 3) in its contacts."""
+def _toe_corrections(toe: Floats, fps: float, aim: Floats | None) -> Floats:
+    """Compute the horizontal displacement (frames, 3) that locks a toe (frames, 3) in its contacts; see `lock_feet`."""
     contacts = find_contacts(toe, fps)
     correction = np.zeros_like(toe)
     for start, end in contacts:
-        to_median = (np.median(toe[start:end], axis=0) - toe[start:end]) * HORIZONTAL
-        distance = np.maximum(np.linalg.norm(to_median, axis=-1), 1e-9)
-        correction[start:end] = to_median * np.minimum(1.0, MAX_CORRECTION / distance)[:, None]
+        place = np.median(toe[start:end], axis=0)
+        if aim is not None and (wanted := np.isfinite(aim[start:end, [0, 2]]).all(axis=1)).any():
+            place = np.nan_to_num(aim[start:end][wanted].mean(axis=0))
+        to_place = (place - toe[start:end]) * HORIZONTAL
+        distance = np.maximum(np.linalg.norm(to_place, axis=-1), 1e-9)
+        correction[start:end] = to_place * np.minimum(1.0, MAX_CORRECTION / distance)[:, None]
     return ease_corrections(toe, correction, contacts, fps)
 
 

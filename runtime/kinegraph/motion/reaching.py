@@ -3,7 +3,7 @@
 A latent comes within a centimetre or two of what constraints want. `reach` closes the rest in the joints themselves:
 
 1. the whole body moves over the floor by the path of least jerk (Flash & Hogan, 1985) through what the pelvis misses;
-2. planted feet are locked where they now stand (`postprocess.lock_feet`);
+2. planted feet are locked where they now stand, or have to stand (`postprocess.lock_feet`);
 3. other joints follow paths of least jerk through what they miss, and the body follows them by position-based dynamics
    (Müller et al., 2007) with rigid bones, in rounds that aim past the target by what the round before missed.
 """
@@ -69,10 +69,12 @@ def reach(joints: Floats, pins: Pins, lengths: FloatArray, fps: float, *, foot_f
     """
     moved = joints.astype(np.float64) + _root_displacement(joints, pins, fps)[:, None]
     if foot_fix:
-        moved = lock_feet(moved.astype(np.float32), fps).astype(np.float64)
+        aims = np.where(pins.wanted, pins.target, np.nan)
+        moved = lock_feet(moved.astype(np.float32), fps, aims).astype(np.float64)
     displacement = _joint_displacements(moved, pins, fps)
     displaced = np.abs(displacement).max(axis=-1) > NEGLIGIBLE
-    at = (displaced | pins.wanted.any(axis=-1)).any(axis=1)
+    far = (np.abs(pins.missed(moved)) > NEGLIGIBLE).any(axis=-1)
+    at = (displaced | far).any(axis=1)
     if at.any():
         wanted = pins.wanted[at]
         held = wanted | displaced[at, :, None]
