@@ -23,6 +23,8 @@ from kinegraph.limits import MAX_TAKES
 from kinegraph.validation import check_flag, finite_number, short_repr, whole_number
 
 MAX_GUIDANCE: Final = 20.0
+SEQUENCE_METHODS: Final = ("blend", "continue")
+"""How the parts of a sequence follow one another; see `MotionPipeline.sequence`."""
 MAX_SEED: Final = 2**63
 _PART_SEED_STRIDE: Final = 1_000_003
 """Distance of the seeds of a sentence's parts, so that they are none of its next takes."""
@@ -225,6 +227,17 @@ def with_margins(options: GenerateOptions, manifest: Manifest, before: int, afte
         after = spare - before if after else 0
     frames = options.frames + before + after
     return before, replace(options, frames=frames, seconds=frames / manifest.fps)
+
+
+def validate_sequence_method(method: object) -> str:
+    """Return how the parts of a sequence follow one another, one of `SEQUENCE_METHODS`.
+
+    Raises:
+        InvalidInputError: another one.
+    """
+    if not isinstance(method, str) or method not in SEQUENCE_METHODS:
+        raise InvalidInputError(f"method must be one of {', '.join(SEQUENCE_METHODS)}, not {short_repr(method)}")
+    return method
 
 
 def sequence_caption(captions: Sequence[str]) -> str:

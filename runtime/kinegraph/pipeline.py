@@ -48,6 +48,7 @@ from kinegraph.options import (
     resolve_options,
     sequence_caption,
     validate_lengths,
+    validate_sequence_method,
     with_margins,
     with_seconds,
 )
@@ -406,6 +407,7 @@ class MotionPipeline:
         self,
         texts: Sequence[str | SemanticGraph],
         *,
+        method: str = "blend",
         seconds: float | Sequence[float] | None = None,
         seed: int | None = None,
         steps: Steps | None = None,
@@ -415,22 +417,29 @@ class MotionPipeline:
         timeout: float | None = None,
         on_step: OnStep | None = None,
     ) -> Clip:
-        """Make one clip of several sentences, one after another, blended where poses are alike (`motion.blending`).
-
-        Each part is made longer than asked by what the blends at its ends need, so that it keeps its length to 0.5 s.
+        """Make one clip of several sentences, one after another.
 
         Args:
             texts: 1 to `limits.MAX_PARTS` sentences or graphs; sentence k is generated with seed + k.
+            method: "blend" makes parts by themselves, longer by what blends at their ends need, and blends them where
+                poses are alike (`motion.blending`); a part keeps its length to 0.5 s. "continue" begins each part in
+                the last pose of the one before, as `stream` does: nothing is blended, and a part has its length to the
+                frame, but at most 0.2 s less than the longest clip. It takes several times as long.
             seconds: of each part: one length, one per sentence, or None for what each asks for.
             seed, steps, guidance, foot_fix, strict, timeout: as in `generate`.
             on_step: as in `generate`; its `done` and `total` are those of all parts.
 
         Raises:
-            InvalidInputError, Cancelled, NonFiniteError: as in `generate`.
+            InvalidInputError, Cancelled, NonFiniteError: as in `generate`; also for a bundle without gradients of its
+                decoders, which "continue" needs.
         """
         deadline = _check_call(timeout, on_step, strict=strict)
         on_step = deadline.watch(on_step)
         lengths = validate_lengths(texts, seconds, MAX_PARTS, "a sequence")
+        if validate_sequence_method(method) == "continue":
+            from kinegraph.constrained_denoising import require_gradients
+
+            require_gradients(self.sampler)
         options = [
             resolve_options(self.manifest, seconds=length, seed=seed, steps=steps, guidance=guidance, foot_fix=foot_fix)
             for length in lengths
@@ -454,7 +463,9 @@ class MotionPipeline:
             for index, part in enumerate(sentence.parts)
         ]
         text = sequence_caption([graph.caption for graph in graphs])
-        return replace(self._make_parts(parts, on_step), text=text, unknown=unknown, notes=notes)
+        make_parts = self._continue_parts if method == "continue" else self._make_parts
+        clip = make_parts(parts, on_step)
+        return replace(clip, text=text, unknown=unknown, notes=tuple(dict.fromkeys((*notes, *clip.notes))))
 
     @_with_typed_memory_errors
     def compose(
@@ -765,6 +776,25 @@ class MotionPipeline:
             [clip.joints for clip in clips], self.manifest.fps, leads=leads, lengths=lengths, foot_fix=foot_fix
         )
         return replace(clips[0], joints=joints, graph=None)
+
+    def _continue_parts(self, parts: Sequence[tuple[_EncodedPart, int]], on_step: OnStep | None) -> Clip:
+        """Sample parts, each with its seed and from the last frames of the one before."""
+        from kinegraph.clip_editing import begin_in
+        from kinegraph.constraints import POSE_SECONDS
+        from kinegraph.motion.body_frame import append_part
+
+        overlap = max(1, round(POSE_SECONDS * self.manifest.fps))
+        clips: list[Clip] = []
+        joints: FloatArray | None = None
+        for index, (part, seed) in enumerate(parts):
+            wanted = None if joints is None else begin_in(joints[-overlap:], self.sampler)
+            _, options = with_margins(part.options, self.manifest, 0 if joints is None else overlap, 0)
+            progress = subrange_progress(on_step, index, len(parts))
+            clips.append(self._sample(part.with_options(options), seed, progress, wanted=wanted))
+            joints = clips[-1].joints if joints is None else append_part(joints, clips[-1].joints, overlap)
+        assert joints is not None
+        notes = tuple(note for clip in clips for note in clip.notes)
+        return replace(clips[0], joints=joints, graph=None, notes=notes, misses=())
 
     def _sample(
         self,

@@ -10,7 +10,17 @@ from kinegraph.feasibility import check_constraints
 from kinegraph.motion.skeleton import bone_lengths
 from kinegraph_benchmarks.common.constraint_cases import FIRST_SEED, KINDS, make_cases, on_common_body
 from kinegraph_benchmarks.common.predicates import FPS
-from kinegraph_benchmarks.quality.constraints import ALONE_GOALS, goals_met, miss, summarise, waypoints_of
+from kinegraph_benchmarks.quality.constraints import (
+    ALONE_GOALS,
+    goals_met,
+    miss,
+    seam_limits,
+    seam_motion,
+    seams,
+    step_motion,
+    summarise,
+    waypoints_of,
+)
 from kinegraph_training.data.clips import MotionClip
 from support.motions import stand, t_pose, walk
 
@@ -91,3 +101,21 @@ def test_captured_clips_are_put_on_the_common_body() -> None:
     lengths = [bone_lengths(one.joints).mean(axis=0) for one in moved]
     np.testing.assert_allclose(lengths[1:], lengths[:-1], atol=2e-3)
     assert [one.action for one in moved] == [one.action for one in CLIPS]
+
+
+def test_a_seam_is_measured_where_what_is_asked_for_ends() -> None:
+    joints = walk(40, speed=0.05)
+    speed, change = step_motion(joints)
+    assert speed.shape == (39,) and change.shape == (38,) and step_motion(t_pose(5))[0].max() == 0
+    jumped = joints.copy()
+    jumped[4:] += np.array([0.0, 0.0, 0.5], dtype=np.float32)  # 10 m/s
+    start, end = StartPose(joints[:4]), EndPose(joints[-4:])
+    assert seam_motion(jumped, start)[0] > speed[3] + 5 and seam_motion(jumped, start)[1] > change[2:4].max() + 5
+    assert seam_motion(jumped, end) == pytest.approx(seam_motion(joints, end), abs=1e-4)
+    jumped = joints.copy()
+    jumped[-4:, :, 2] += 0.5
+    assert seam_motion(jumped, end)[0] > 5 > seam_motion(jumped, start)[0]
+    rows = [{arm: {"seam": value} for arm in ("plain", "alone", "corrected")} for value in ((1.0, 1.0), (3.0, 1.0))]
+    assert seams(rows, (2.0, 2.0))["corrected"] == {"median": [2.0, 1.0], "within": 0.5}
+    limits = seam_limits(CLIPS)
+    assert limits[0] > 0 and limits[1] > 0

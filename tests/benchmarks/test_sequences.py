@@ -50,7 +50,7 @@ def test_sequences_have_3_to_8_known_parts() -> None:
 
 def test_a_sequence_is_measured_part_by_part_and_join_by_join(toy: MotionPipeline) -> None:
     pytest.importorskip("spacy")
-    limits = dict.fromkeys(ACTIONS, (1e9, 1e-9))
+    limits = dict.fromkeys(ACTIONS, (1e9, 1e-9, 1e9))
     original = blending.best_blend
     row = sequences.measure_sequence(toy, ("walk", "bow", "walk"), 3, limits)
     assert blending.best_blend is original
@@ -69,8 +69,10 @@ def test_rates_lengths_and_joins_are_summed_up() -> None:
     runs = [
         {
             "parts": [part("walk", True, True), part("bow", True, False, 0.6), part("walk", False, False)],
-            "joins": [{"of_captured": [0.5, 0.9]}, {"of_captured": [1.5, 0.9]}],
+            "joins": [{"of_captured": [0.5, 0.9, 0.9]}, {"of_captured": [1.5, 0.9, 0.9]}],
             "total_error": 0.2,
+            "cpu": 3.0,
+            "cpu_alone": 2.0,
         }
     ]
     total = sequences.summarise(runs)
@@ -82,7 +84,15 @@ def test_rates_lengths_and_joins_are_summed_up() -> None:
     windows = {name: {"met": 1.0, "wrong": 0.0} for name in ACTIONS}
     memory = [{"parts": 4, "seconds": 16.0, "resident_mb": 400.0, "peak_mb": 401.0}]
     table = sequences.markdown_table(
-        {"bundle": "edge", "seeds": 1, "summary": total, "captured_windows": windows, "memory": memory}
+        {
+            "bundle": "edge",
+            "method": "blend",
+            "lengths": "3 to 8",
+            "seeds": 1,
+            "summary": total,
+            "captured_windows": windows,
+            "memory": memory,
+        }
     )
     assert "| walk | 4 | 1.00, 0.000 | 2 | 0.500 | 0.500 | 1.000 | 1.000 | 0.000 |" in table
     assert "| 4 | 16 | 400 | 401 |" in table
@@ -93,4 +103,4 @@ def test_captured_limits_are_those_of_the_windows_of_each_action() -> None:
     limits = sequences.captured_limits(clips)
     assert limits.keys() == ACTIONS.keys()
     assert limits["walk"][1] == pytest.approx(sequences.peak_motion(walk(60, speed=0.05))[1], rel=0.1)
-    assert sequences.peak_motion(t_pose(10)) == (0.0, 0.0)
+    assert sequences.peak_motion(t_pose(10)) == (0.0, 0.0, 0.0)

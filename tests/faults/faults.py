@@ -187,8 +187,16 @@ FAULTS: tuple[Fault, ...] = (
     Fault(
         4,
         "constraints with NaN",
-        "constraints.py",
+        "constraint_values.py",
         "    if not np.isfinite(copy).all():",
+        "    if False:",
+        "runtime/test_constraints.py -k wrong_values",
+    ),
+    Fault(
+        4,
+        "keyframes whose rotations are none",
+        "constraint_values.py",
+        "    if wrong.any():",
         "    if False:",
         "runtime/test_constraints.py -k wrong_values",
     ),
@@ -207,6 +215,14 @@ FAULTS: tuple[Fault, ...] = (
         "            if item not in PARTS:",
         "            if False:",
         "runtime/test_clip_editing.py -k bad_edits",
+    ),
+    Fault(
+        6,
+        "a sequence continues from anywhere",
+        "pipeline.py",
+        "            wanted = None if joints is None else begin_in(joints[-overlap:], self.sampler)",
+        "            wanted = None",
+        "runtime/test_sequence.py -k continue_from",
     ),
     Fault(
         6,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 from pathlib import Path
 from typing import Any
@@ -78,3 +79,32 @@ def test_on_the_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str])
     with pytest.raises(SystemExit):
         cli.main([*again, "2,x"])
     assert "is not a number, nor several" in capsys.readouterr().err
+
+
+def test_parts_continue_from_the_last_pose_with_the_lengths_that_were_asked_for(toy: MotionPipeline) -> None:
+    texts = ["a person walks forward", "a person waves the right hand", "a person bows"]
+    clip = toy.sequence(texts, method="continue", seconds=[2, 1.5, 2], **FEW)
+    assert clip.frames == 110 and clip.text == ", then ".join(texts)
+    assert clip.misses == () and clip.seed == 4
+    alone = toy.generate(texts[0], seconds=2, **FEW)
+    np.testing.assert_array_equal(clip.joints[:36], alone.joints[:36])  # nothing is cut or blended
+    steps = np.linalg.norm(np.diff(clip.joints, axis=0), axis=-1).max(axis=1)
+    assert steps[[39, 69]].max() < 2 * np.quantile(steps, 0.95)
+    again = toy.sequence(texts, method="continue", seconds=[2, 1.5, 2], **FEW)
+    np.testing.assert_array_equal(clip.joints, again.joints)
+    longest = toy.manifest.seconds_limits[1]
+    whole = toy.sequence(texts[:2], method="continue", seconds=longest, steps=1, seed=1)
+    assert 0 <= 2 * longest - whole.duration <= 0.2 + 1e-9
+
+
+def test_an_unknown_method_is_refused_and_so_is_a_bundle_that_cannot_continue(
+    toy: MotionPipeline, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    texts = ["a person walks", "a person bows"]
+    for method in ("cut", None, 3):
+        with pytest.raises(InvalidInputError, match="method must be one of blend, continue"):
+            toy.sequence(texts, method=method, **FEW)  # type: ignore[arg-type]
+    bare = toy.with_sessions(dataclasses.replace(toy.sampler.sessions, decoder_gradients={}))
+    with pytest.raises(InvalidInputError, match="no gradients of its decoders"):
+        bare.sequence(texts, method="continue", seconds=2, **FEW)
+    assert bare.sequence(texts, seconds=2, **FEW).frames > 60

@@ -3,6 +3,7 @@
     python -m kinegraph_benchmarks.quality.constraints --data DATA/bandai --out constraints.json
 
     ... --cases N                   of each kind (50)
+    ... --kinds "path,hand"         some kinds only
     ... --curve-cases N             of each point of the curves against weight and number of keys (10)
 
 Each case of `common.constraint_cases` is made three times with one seed: plain, by the energies alone, and with the
@@ -14,7 +15,7 @@ to the plain clip made just before. Writes JSON, and a Markdown table beside it.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import replace
 from typing import Any, Final
 
@@ -49,6 +50,8 @@ ALONE_GOALS: Final = {
 """Kind -> mean miss by the energies alone, metres."""
 CORRECTED_GOAL: Final = 0.005
 JERK_GOAL, SKATE_GOAL, TEXT_GOAL, TIME_GOAL = 1.3, 1.2, 0.9, 6.0
+SEAM_QUANTILE: Final = 0.95
+"""Of captured steps: what the seam of a start or end pose is compared with, and the share of seams to be within."""
 WEIGHTS: Final = (0.25, 0.5, 1.0, 2.0, 4.0)
 KEYS: Final = (1, 2, 4, 8)
 SMALL_SKATE: Final = 0.05
@@ -98,6 +101,38 @@ def placed(joints: DoubleArray, anchor: int) -> DoubleArray:
     return np.stack([cos * x - sin * z, y, sin * x + cos * z], axis=-1)
 
 
+def step_motion(joints: FloatArray) -> tuple[DoubleArray, DoubleArray]:
+    """Measure the largest speed of a joint in each step, and change from step to step, m/s: (t - 1,) and (t - 2,)."""
+    velocity = np.diff(joints.astype(np.float64), axis=0) * FPS
+    speed, change = (np.linalg.norm(values, axis=-1).max(axis=1) for values in (velocity, np.diff(velocity, axis=0)))
+    return speed, change
+
+
+def seam_motion(joints: FloatArray, constraint: StartPose | EndPose) -> tuple[float, float]:
+    """Measure speed and change of velocity, m/s, between the frames that are asked for and the rest."""
+    count = len(constraint.frames(FPS))
+    step = count - 1 if isinstance(constraint, StartPose) else len(joints) - count - 1
+    speed, change = step_motion(joints)
+    return float(speed[step]), float(change[max(step - 1, 0) : step + 1].max())
+
+
+def seam_limits(clips: Sequence[MotionClip]) -> tuple[float, float]:
+    """Compute the `SEAM_QUANTILE` of both over the steps of captured clips."""
+    steps = [step_motion(clip.joints) for clip in clips]
+    speed, change = (float(np.quantile(np.concatenate(values), SEAM_QUANTILE)) for values in zip(*steps, strict=True))
+    return speed, change
+
+
+def seams(rows: Sequence[Mapping[str, Any]], limits: tuple[float, float]) -> dict[str, Any]:
+    """Compare the seams of one kind with captured steps: medians, and the share of clips within, for each arm."""
+    summary: dict[str, Any] = {"captured": limits}
+    for arm in ("plain", "alone", "corrected"):
+        values = np.array([row[arm]["seam"] for row in rows])
+        within = (values <= limits).all(axis=1)
+        summary[arm] = {"median": np.median(values, axis=0).tolist(), "within": float(within.mean())}
+    return summary
+
+
 def timed(make: Callable[[], Clip]) -> tuple[FloatArray, float]:
     """Make a clip, and measure its CPU time in seconds."""
     start = time.process_time()
@@ -137,6 +172,11 @@ def run_case(pipe: MotionPipeline, case: Case, *, weight: float = 1.0) -> dict[s
             "skate": float(skates[0] / skates[1]),
             "joints": joints,
         } | misses(joints, case)
+    for arm in _ARMS:
+        at_seam = [
+            seam_motion(row[arm]["joints"], one) for one in case.constraints if isinstance(one, StartPose | EndPose)
+        ]
+        row[arm] |= {"seam": at_seam[0]} if at_seam else {}
     return row
 
 
@@ -214,7 +254,7 @@ def waypoints_of(case: Case, keys: int) -> tuple[Waypoint, ...]:
 def goals_met(kind: str, summary: Mapping[str, Any]) -> dict[str, bool]:
     """Tell which goals of issue 25 a kind meets."""
     alone, corrected = summary["alone"], summary["corrected"]
-    return {
+    met = {
         "alone": kind not in ALONE_GOALS or alone["miss_mean"] <= ALONE_GOALS[kind],
         "corrected": corrected["miss_mean"] <= CORRECTED_GOAL,
         "jerk": corrected["jerk"] <= JERK_GOAL,
@@ -222,6 +262,9 @@ def goals_met(kind: str, summary: Mapping[str, Any]) -> dict[str, bool]:
         "text": corrected["text_kept"] is None or corrected["text_kept"] >= TEXT_GOAL,
         "time": corrected["time"] <= TIME_GOAL,
     }
+    if "seams" in summary:
+        met["seam"] = summary["seams"]["corrected"]["within"] >= SEAM_QUANTILE
+    return met
 
 
 def markdown_table(result: Mapping[str, Any]) -> str:
@@ -241,6 +284,8 @@ def markdown_table(result: Mapping[str, Any]) -> str:
         cells += [f"{row['plain']['rate']:.2f}, {row['corrected']['rate']:.2f}", f"{row['corrected']['time']:.1f} x"]
         cells += [", ".join(name for name, met in row["met"].items() if not met) or "-"]
         lines.append(f"| {kind} | " + " | ".join(cells) + " |")
+    for kind in [kind for kind, row in result["kinds"].items() if "seams" in row]:
+        lines += ["", _seam_line(kind, result["kinds"][kind]["seams"])]
     lines += ["", "| kind | weight | alone, cm | corrected, cm | jerk | text |", "|---" * 6 + "|"]
     for row in result["weights"]:
         lines.append(f"| {row['kind']} | {row['weight']:g} | " + _curve_cells(row))
@@ -253,21 +298,40 @@ def markdown_table(result: Mapping[str, Any]) -> str:
 _ARMS: Final = ("plain", "alone", "corrected")
 
 
+def _seam_line(kind: str, row: Mapping[str, Any]) -> str:
+    speed, change = row["corrected"]["median"]
+    return (
+        f"Seams of {kind}: the fastest joint has {speed:.2f} m/s, and its velocity changes by {change:.2f} m/s;"
+        f" {100 * row['corrected']['within']:.0f} % within captured 95 %, {row['captured'][0]:.2f} and"
+        f" {row['captured'][1]:.2f} m/s."
+    )
+
+
 def _curve_cells(row: Mapping[str, Any]) -> str:
     alone, corrected = (f"{100 * row[arm]['miss_mean']:.1f}" for arm in ("alone", "corrected"))
     return f"{alone} | {corrected} | {row['corrected']['jerk']:.2f} x | {row['corrected']['rate']:.2f} |"
 
 
 def measure(
-    pipe: MotionPipeline, clips: Sequence[MotionClip], count: int, curve_count: int, evaluator: Evaluator
+    pipe: MotionPipeline,
+    clips: Sequence[MotionClip],
+    count: int,
+    curve_count: int,
+    evaluator: Evaluator,
+    only: Collection[str] | None = None,
 ) -> dict[str, Any]:
-    """Measure all kinds and curves; see `main`."""
+    """Measure all kinds, or some, and their curves; see `main`."""
     cases = make_cases(clips, count)
+    if only is not None:
+        cases = {kind: of_kind for kind, of_kind in cases.items() if kind in only}
     captured = evaluator.embed_motions([clip.joints for clip in clips])
+    limits = seam_limits(clips)
     kinds: dict[str, Any] = {}
     for kind, of_kind in cases.items():
         rows = [run_case(pipe, case) for case in of_kind]
         kinds[kind] = summarise(rows) | {"frechet": frechet(rows, captured, evaluator)}
+        if kind in ("start", "end"):
+            kinds[kind]["seams"] = seams(rows, limits)
         kinds[kind]["met"] = goals_met(kind, kinds[kind])
         kinds[kind]["rows"] = [without_joints(row) for row in rows]
         print(kind, kinds[kind]["corrected"], flush=True)
@@ -276,7 +340,7 @@ def measure(
         "cases": count,
         "kinds": kinds,
         "weights": weight_curve(pipe, cases, curve_count),
-        "keys": key_curve(pipe, cases["drawn path"], curve_count),
+        "keys": key_curve(pipe, cases["drawn path"], curve_count) if "drawn path" in cases else [],
     }
 
 
@@ -292,14 +356,15 @@ def main() -> None:
     """Run the command line."""
     parser = benchmark_parser(__doc__)
     parser.add_argument("--cases", type=int, default=50, help="cases of each kind (50)")
+    parser.add_argument("--kinds", help="some kinds, with commas between; default: all")
     parser.add_argument("--curve-cases", type=int, default=10, help="cases of each point of the curves (10)")
     add_arguments(parser, "data", "bundle", "out")
     options = parser.parse_args()
     pipe = MotionPipeline.load(options.bundle, threads=1)
     pipe.generate("a person walks forward", seconds=1, seed=1)  # opens the sessions
-    result = measure(
-        pipe, on_common_body(read_split(options.data, SPLIT)), options.cases, options.curve_cases, Evaluator()
-    )
+    clips = on_common_body(read_split(options.data, SPLIT))
+    only = None if options.kinds is None else options.kinds.split(",")
+    result = measure(pipe, clips, options.cases, options.curve_cases, Evaluator(), only)
     write_report(options.out, result, markdown_table(result))
 
 

@@ -2,6 +2,9 @@
 
     python -m kinegraph_benchmarks.quality.sequences --data DATA/bandai --out sequences.json
 
+    ... --method continue           how the parts follow one another (blend)
+    ... --eight                     20 drawn sequences of 8 different parts each
+
 Each part of 20 sequences must do in its own time what its sentence says as often as the same sentence alone, generated
 with the same length and seed. Joins are compared with captured windows of the actions on both sides. Memory is that of
 a fresh process after sequences of 4, 16 and 64 parts. Writes JSON, and a Markdown table beside it.
@@ -11,6 +14,7 @@ from __future__ import annotations
 
 import subprocess
 import sys
+import time
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from itertools import pairwise
@@ -22,6 +26,7 @@ import numpy as np
 from kinegraph import MotionPipeline
 from kinegraph.arrays import FloatArray
 from kinegraph.motion import blending
+from kinegraph.options import SEQUENCE_METHODS
 from kinegraph_benchmarks.common.arguments import add_arguments, benchmark_parser
 from kinegraph_benchmarks.common.predicates import FPS
 from kinegraph_benchmarks.common.report_io import write_report
@@ -52,6 +57,10 @@ SEQUENCES: Final[tuple[tuple[str, ...], ...]] = (
     ("run", "turn left", "raise-up left", "bow", "walk", "turn right", "wave both", "walk"),
 )
 """Parts of each sequence, keys of `ACTIONS`."""
+EIGHT: Final[tuple[tuple[str, ...], ...]] = tuple(
+    tuple(np.random.default_rng(row).permutation(list(ACTIONS))[:8].tolist()) for row in range(20)
+)
+"""Sequences of 8 different parts, drawn."""
 KEPT: Final = 0.95
 """Goal: rate of the parts in their sequence, of their rate alone."""
 LENGTH_TOLERANCE: Final = 0.5
@@ -65,11 +74,11 @@ MEMORY_SCRIPT: Final = """
 import sys
 from kinegraph import MotionPipeline
 
-bundle, threads, *counts = sys.argv[1:]
+bundle, threads, method, *counts = sys.argv[1:]
 pipe = MotionPipeline.load(bundle or None, threads=int(threads))
 texts = ["a person walks forward", "a person bows"]
 for count in map(int, counts):
-    frames = pipe.sequence([texts[part % 2] for part in range(count)], seconds=4, seed=1).frames
+    frames = pipe.sequence([texts[part % 2] for part in range(count)], seconds=4, seed=1, method=method).frames
     lines = open("/proc/self/status").read().splitlines()
     sizes = [next(line.split()[1] for line in lines if line.startswith(name)) for name in ("VmRSS", "VmHWM")]
     print(count, frames, *sizes)
@@ -95,13 +104,15 @@ def recorded_joins() -> Iterator[list[float]]:
         blending.best_blend = original
 
 
-def peak_motion(joints: FloatArray) -> tuple[float, float]:
-    """Measure the largest acceleration, m/s^2, and velocity, m/s, of any joint."""
+def peak_motion(joints: FloatArray) -> tuple[float, float, float]:
+    """Measure the largest acceleration, m/s^2, velocity, m/s, and jerk, m/s^3, of any joint."""
     speeds = np.linalg.norm(np.diff(joints.astype(np.float64), axis=0), axis=-1) * FPS
-    return float(blending.peak_accelerations(joints, FPS).max(initial=0.0)), float(speeds.max(initial=0.0))
+    jerks = np.linalg.norm(np.diff(joints.astype(np.float64), n=3, axis=0), axis=-1) * FPS**3
+    acceleration = float(blending.peak_accelerations(joints, FPS).max(initial=0.0))
+    return acceleration, float(speeds.max(initial=0.0)), float(jerks.max(initial=0.0))
 
 
-def captured_limits(clips: Sequence[MotionClip]) -> dict[str, tuple[float, float]]:
+def captured_limits(clips: Sequence[MotionClip]) -> dict[str, tuple[float, ...]]:
     """Measure the 95 % quantile of `peak_motion` over captured windows of `JOIN_SECONDS`, by name of the action."""
     frames = round(JOIN_SECONDS * FPS)
     limits = {}
@@ -112,13 +123,16 @@ def captured_limits(clips: Sequence[MotionClip]) -> dict[str, tuple[float, float
             for joints in motions
             for start in range(0, max(len(joints) - frames, 0) + 1, frames // 2)
         ]
-        acceleration, velocity = np.quantile(peaks, QUANTILE, axis=0)
-        limits[name] = (float(acceleration), float(velocity))
+        limits[name] = tuple(np.quantile(peaks, QUANTILE, axis=0).tolist())
     return limits
 
 
 def measure_sequence(
-    pipe: MotionPipeline, names: Sequence[str], seed: int, limits: Mapping[str, tuple[float, float]]
+    pipe: MotionPipeline,
+    names: Sequence[str],
+    seed: int,
+    limits: Mapping[str, tuple[float, ...]],
+    method: str = "blend",
 ) -> dict[str, Any]:
     """Generate a sequence and each of its parts alone, and compare them.
 
@@ -127,18 +141,27 @@ def measure_sequence(
         names: parts, keys of `ACTIONS`.
         seed: of the sequence; part k alone has seed + k.
         limits: of `captured_limits`.
+        method: of `MotionPipeline.sequence`.
     """
     actions = [ACTIONS[name] for name in names]
+    start = time.process_time()
     with recorded_joins() as offsets:
         clip = pipe.sequence(
-            [action.sentence for action in actions], seconds=[action.seconds for action in actions], seed=seed
+            [action.sentence for action in actions],
+            seconds=[action.seconds for action in actions],
+            seed=seed,
+            method=method,
         )
+    seconds = time.process_time() - start
+    offsets = offsets or [0.0] * (len(names) - 1)  # without blends, parts begin where they shall
     bounds = [0, *np.cumsum([round(action.seconds * FPS) for action in actions]).tolist()]
     shifts = [0.0, *offsets, float(clip.frames - bounds[-1])]
     crops = [clip.joints[start:end] for start, end in pairwise(bounds)]
-    parts = []
+    parts, alone_seconds = [], 0.0
     for index, (name, action) in enumerate(zip(names, actions, strict=True)):
+        start = time.process_time()
         alone = pipe.generate(action.sentence, seconds=action.seconds, seed=seed + index).joints
+        alone_seconds += time.process_time() - start
         others = [action.holds(crop) for other, crop in zip(names, crops, strict=True) if other != name]
         parts.append(
             {
@@ -149,23 +172,32 @@ def measure_sequence(
                 "length_error": abs(shifts[index + 1] - shifts[index]) / FPS,
             }
         )
-    half = round(JOIN_SECONDS * FPS / 2)
-    joins = []
-    for before, after, bound in zip(names, names[1:], bounds[1:], strict=False):
-        peaks = peak_motion(clip.joints[max(bound - half, 0) : bound + half])
-        allowed = np.maximum(limits[before], limits[after])
-        joins.append({"between": [before, after], "of_captured": (np.array(peaks) / allowed).tolist()})
     return {
         "seed": seed,
+        "cpu": seconds,
+        "cpu_alone": alone_seconds,
         "parts": parts,
-        "joins": joins,
+        "joins": measure_joins(clip.joints, names, bounds, limits),
         "total_error": abs(clip.frames - bounds[-1]) / FPS,
     }
 
 
-def measure_memory(bundle: str | Path | None) -> list[dict[str, float]]:
+def measure_joins(
+    joints: FloatArray, names: Sequence[str], bounds: Sequence[int], limits: Mapping[str, tuple[float, ...]]
+) -> list[dict[str, Any]]:
+    """Compare the joins of a sequence (frames, 22, 3) with captured motion; parts begin at `bounds`, frames."""
+    half = round(JOIN_SECONDS * FPS / 2)
+    joins = []
+    for before, after, bound in zip(names, names[1:], bounds[1:], strict=False):
+        peaks = peak_motion(joints[max(bound - half, 0) : bound + half])
+        allowed = np.maximum(limits[before], limits[after])
+        joins.append({"between": [before, after], "of_captured": (np.array(peaks) / allowed).tolist()})
+    return joins
+
+
+def measure_memory(bundle: str | Path | None, method: str = "blend") -> list[dict[str, float]]:
     """Measure memory after sequences of `MEMORY_PARTS` parts, one after another in one fresh process."""
-    words = [sys.executable, "-c", MEMORY_SCRIPT, str(bundle or ""), "1", *map(str, MEMORY_PARTS)]
+    words = [sys.executable, "-c", MEMORY_SCRIPT, str(bundle or ""), "1", method, *map(str, MEMORY_PARTS)]
     lines = subprocess.run(words, capture_output=True, text=True, check=True).stdout.split("\n")
     rows = [[int(word) for word in line.split()] for line in lines if line]
     return [
@@ -203,8 +235,11 @@ def summarise(runs: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
         "joins": len(joins),
         "acceleration_within": float(calm[0]),
         "velocity_within": float(calm[1]),
+        "jerk_within": float(calm[2]),
         "acceleration_of_captured": np.quantile(joins[:, 0], [0.5, 0.95, 1.0]).tolist(),
         "velocity_of_captured": np.quantile(joins[:, 1], [0.5, 0.95, 1.0]).tolist(),
+        "jerk_of_captured": np.quantile(joins[:, 2], [0.5, 0.95, 1.0]).tolist(),
+        "time": float(np.median([run["cpu"] / run["cpu_alone"] for run in runs])),
         "met": {
             "parts": bool(total["ratio"] is not None and total["ratio"] >= KEPT),
             "lengths": bool(max(length_error, total_error) <= LENGTH_TOLERANCE),
@@ -217,7 +252,8 @@ def markdown_table(result: Mapping[str, Any]) -> str:
     """Format a result as Markdown."""
     total, windows = result["summary"], result["captured_windows"]
     lines = [
-        f"{result['bundle']}: {len(SEQUENCES)} sequences of 3 to 8 parts, {result['seeds']} seeds",
+        f"{result['bundle']}, method {result['method']}: {len(SEQUENCES)} sequences of {result['lengths']} parts, "
+        f"{result['seeds']} seeds",
         "",
         "| part | length, s | captured windows: own, other actions | parts | alone | in sequence | ratio | kept"
         " | in other parts |",
@@ -242,6 +278,7 @@ def markdown_table(result: Mapping[str, Any]) -> str:
         ("whole length, worst error, s", total["total_error_s"], LENGTH_TOLERANCE, "lengths"),
         ("joins with acceleration within captured 95 %", total["acceleration_within"], QUANTILE, "joins"),
         ("joins with velocity within captured 95 %", total["velocity_within"], QUANTILE, "joins"),
+        ("joins with jerk within captured 95 %", total["jerk_within"], QUANTILE, "joins"),
     ):
         lines.append(f"| {what} | {value:.3f} | {goal} | {'yes' if total['met'][met] else 'no'} |")
 
@@ -251,7 +288,8 @@ def markdown_table(result: Mapping[str, Any]) -> str:
     lines += [
         "",
         f"{total['joins']} joins; median / 95 % / worst of the captured 95 % quantile: acceleration "
-        f"{triple(total['acceleration_of_captured'])}, velocity {triple(total['velocity_of_captured'])}.",
+        f"{triple(total['acceleration_of_captured'])}, velocity {triple(total['velocity_of_captured'])}, jerk "
+        f"{triple(total['jerk_of_captured'])}. A sequence takes {total['time']:.1f} times as long as its parts alone.",
         "",
         "| parts | length, s | resident memory after, MB | peak so far, MB |",
         "|---|---|---|---|",
@@ -265,23 +303,28 @@ def main() -> None:
     """Run the command line."""
     parser = benchmark_parser(__doc__)
     add_arguments(parser, "data", "bundle", "out", seeds=3)
+    parser.add_argument("--method", default="blend", choices=SEQUENCE_METHODS, help="of the sequences (blend)")
+    parser.add_argument("--eight", action="store_true", help="sequences of 8 parts, instead of 3 to 8")
     options = parser.parse_args()
+    sequences = EIGHT if options.eight else SEQUENCES
     pipe = MotionPipeline.load(options.bundle, threads=1)
     clips = [clip for split in SPLITS for clip in read_split(options.data, split)]
     limits = captured_limits(clips)
     runs = [
         # parts have seeds of their own: sequences are as far apart as they are long
-        measure_sequence(pipe, names, 1000 * seed + 10 * row, limits)
-        for row, names in enumerate(SEQUENCES)
+        measure_sequence(pipe, names, 1000 * seed + 10 * row, limits, options.method)
+        for row, names in enumerate(sequences)
         for seed in range(options.seeds)
     ]
     result = {
         "bundle": f"{pipe.manifest.name} {pipe.manifest.version}",
         "seeds": options.seeds,
+        "method": options.method,
+        "lengths": "8" if options.eight else "3 to 8",
         "captured_windows": check_windows(clips, list(ACTIONS)),
         "captured_limits": limits,
         "summary": summarise(runs),
-        "memory": measure_memory(options.bundle),
+        "memory": measure_memory(options.bundle, options.method),
         "runs": runs,
     }
     write_report(options.out, result, markdown_table(result))

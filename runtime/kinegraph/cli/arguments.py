@@ -107,6 +107,11 @@ def add_sequence(parser: argparse.ArgumentParser) -> None:
         metavar="S[,S...]",
         help="length of each part before joining, or one for all; default: the sentences decide",
     )
+    parser.add_argument(
+        "--method",
+        default="blend",
+        help="blend parts where poses are alike (default), or continue: each begins in the last pose of the one before",
+    )
     _add_sampling_and_output(parser)
 
 

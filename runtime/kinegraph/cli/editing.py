@@ -35,11 +35,8 @@ def edit(args: argparse.Namespace) -> int:
                 constraints=constraints,
                 constraint_weight=args.constraint_weight,
                 seed=seed,
-                steps=sampling.steps,
-                guidance=sampling.guidance,
-                foot_fix=sampling.foot_fix,
-                strict=sampling.strict,
                 on_step=on_step,
+                **sampling.keywords,
             )
 
         return make_one_by_one(make_clip, len(targets), sampling.seed, on_step)
@@ -66,11 +63,8 @@ def inbetween(args: argparse.Namespace) -> int:
                 constraints=constraints,
                 constraint_weight=args.constraint_weight,
                 seed=seed,
-                steps=sampling.steps,
-                guidance=sampling.guidance,
-                foot_fix=sampling.foot_fix,
-                strict=sampling.strict,
                 on_step=on_step,
+                **sampling.keywords,
             )
 
         return make_one_by_one(make_clip, len(targets), sampling.seed, on_step)

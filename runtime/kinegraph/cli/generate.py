@@ -43,6 +43,11 @@ class SamplingOptions:
         """Take the options of a command."""
         return cls(seed=args.seed, steps=args.steps, guidance=args.guidance, foot_fix=args.foot_fix, strict=args.strict)
 
+    @property
+    def keywords(self) -> dict[str, Any]:
+        """Return the keywords of the calls that make one clip, but for the seed, which counts up from take to take."""
+        return {"steps": self.steps, "guidance": self.guidance, "foot_fix": self.foot_fix, "strict": self.strict}
+
 
 def generate(args: argparse.Namespace) -> int:
     """Run `kinegraph generate`: clips of a sentence or a graph."""
@@ -62,11 +67,8 @@ def generate(args: argparse.Namespace) -> int:
             constraint_weight=args.constraint_weight,
             seconds=seconds,
             seed=sampling.seed,
-            steps=sampling.steps,
-            guidance=sampling.guidance,
-            foot_fix=sampling.foot_fix,
-            strict=sampling.strict,
             on_step=on_step,
+            **sampling.keywords,
         )
 
     return run_command(args, targets, make_clips)
@@ -93,11 +95,8 @@ def compose(args: argparse.Namespace) -> int:
                 constraint_weight=args.constraint_weight,
                 seconds=args.seconds,
                 seed=seed,
-                steps=sampling.steps,
-                guidance=sampling.guidance,
-                foot_fix=sampling.foot_fix,
-                strict=sampling.strict,
                 on_step=on_step,
+                **sampling.keywords,
             )
 
         clips = make_one_by_one(make_clip, len(targets), sampling.seed, on_step)
@@ -134,12 +133,10 @@ def sequence(args: argparse.Namespace) -> int:
             return pipeline.sequence(
                 args.texts,
                 seconds=args.seconds,
+                method=args.method,
                 seed=seed,
-                steps=sampling.steps,
-                guidance=sampling.guidance,
-                foot_fix=sampling.foot_fix,
-                strict=sampling.strict,
                 on_step=on_step,
+                **sampling.keywords,
             )
 
         return make_one_by_one(make_clip, len(targets), sampling.seed, on_step)
