@@ -1,7 +1,7 @@
 """Second stage under constraints: the energy of what a clip has to do pulls its latents.
 
-EnergyMoGen composes by adding energies to a latent's (Eq. 6-8); a constraint is one more. At the last steps of every level,
-with a = alpha_bar, z_0 = (z_t - sqrt(1 - a) eps) / sqrt(a) the predicted clean latent and g = dE_c / dz_0:
+EnergyMoGen composes by adding energies to a latent's (Eq. 6-8); a constraint is one more. At the last steps of each
+level, with a = alpha_bar, z_0 = (z_t - sqrt(1 - a) eps) / sqrt(a) the predicted clean latent and g = dE_c / dz_0:
 
     eps <- eps + sqrt(a / (1 - a)) w s g
 
@@ -48,12 +48,11 @@ from kinegraph.validation import check_flag, finite_number, short_repr
 
 MAX_PULL: Final = 0.5
 """Largest root mean square by which one step moves the clean latent, whose channels have a deviation of 1."""
-PULLED_FROM: Final = 0.75
-"""Share of a level's steps before the first that is pulled. Earlier pulls cost as much as steps of the descent, which come
-nearer: with the last of 4 pulled and 17 steps of descent, paths are missed by 2.6 cm, not 4.0."""
+PULLED_FROM: Final = 0.25
+"""Share of a level's steps before the first that is pulled: at first the clean estimate is noise yet."""
 MAX_LATENT: Final = 1.3
 """Largest root mean square of a pulled latent: further out the decoder knows no motion, whatever is wanted."""
-DESCENT_STEPS: Final = 17
+DESCENT_STEPS: Final = 15
 """Steps of the descent on the finest latent; they count as steps of the call."""
 MAX_AWAY: Final = 0.8
 """Largest root mean square by which the descent moves the latent."""
@@ -126,7 +125,8 @@ class Wanted:
             return pins
         kept = self.kept.pins(joints.astype(np.float64))
         target = np.where(pins.wanted, pins.target, kept.target)
-        return Pins(target, pins.wanted | kept.wanted, certain=kept.wanted & ~pins.wanted)
+        certain = np.where(pins.wanted, False if pins.certain is None else pins.certain, kept.wanted)
+        return Pins(target, pins.wanted | kept.wanted, certain)
 
     def misses(self, joints: FloatArray, fps: float) -> tuple[Miss, ...]:
         """Measure how far a motion is from each constraint, and from what is kept."""

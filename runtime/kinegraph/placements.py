@@ -39,11 +39,13 @@ def pins_of(constraints: Sequence[Constraint], joints: Floats, fps: float) -> Pi
         fps: frames per second.
     """
     target, wanted = np.zeros(joints.shape), np.zeros(joints.shape, dtype=np.bool_)
+    certain = wanted.copy()
     for constraint in constraints:
         if constraint.weight > 0:
             places, axes = wanted_places(constraint, joints, fps)
             target[axes], wanted[axes] = places[axes], True
-    return Pins(target, wanted)
+            certain[axes] = isinstance(constraint, StartPose)  # of a body above the origin, as every clip begins
+    return Pins(target, wanted, certain)
 
 
 def misses_of(constraints: Sequence[Constraint], joints: Floats, fps: float) -> tuple[Miss, ...]:
