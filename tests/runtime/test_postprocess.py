@@ -219,6 +219,12 @@ def test_a_goal_where_the_ankle_is_changes_nothing() -> None:
         np.testing.assert_allclose(new_ankle, joints[:, ankle], atol=1e-5)
 
 
+def test_a_leg_without_length_stays_a_point() -> None:
+    point = np.zeros((3, 3))
+    for joint in two_bone_ik(point, point, point, point + 0.1):
+        np.testing.assert_allclose(joint, 0.0, atol=1e-6)
+
+
 @pytest.mark.parametrize("frames", [1, 2, 3, 5])
 def test_the_shortest_clips_pass(frames: int) -> None:
     assert lock_feet(walk(frames), FPS).shape == (frames, 22, 3)

@@ -32,9 +32,20 @@ ANYTHING = st.sampled_from(JUNK)
 WALK = Clip(walk(30).astype(np.float32), 20.0, 1, "a person walks", "toy 1")
 SHORT_CLIP = Clip(WALK.joints[:9], 20.0, 1, "a person walks", "toy 1")
 LYING = np.asarray(WALK.joints[:2, :, [0, 2, 1]])
-POSES = st.sampled_from([WALK, SHORT_CLIP, WALK.joints, WALK.joints[:2], WALK.joints[0], LYING, 1e6 * LYING, 0 * LYING])
-METRES = st.floats(-3, 3) | NUMBERS
-MOMENTS = st.floats(0, 1) | st.floats(0, 10) | NUMBERS
+POSES = st.sampled_from([WALK, WALK, SHORT_CLIP, WALK.joints, WALK.joints[:2], LYING, 1e6 * LYING, 0 * LYING])
+POSE = st.sampled_from([*WALK.joints[::7], LYING[0], 1e6 * LYING[0], WALK.joints])
+
+
+def mostly(usual: st.SearchStrategy[Any], odd: st.SearchStrategy[Any] = ANYTHING) -> st.SearchStrategy[Any]:
+    """Draw an odd value once in ten: with several of them nothing would get through."""
+    return st.integers(0, 9).flatmap(lambda number: odd if number == 9 else usual)
+
+
+PLAIN = st.sampled_from(["a person walks forward", "someone waves the left hand", "a person walks and then turns"])
+METRES = mostly(st.floats(-1, 1), NUMBERS)
+PAIRS = st.tuples(NUMBERS, NUMBERS)
+HEADINGS = st.floats(-180, 180)
+MOMENTS = mostly(st.floats(0, 1), NUMBERS | st.floats(0, 10))
 
 
 @dataclass(frozen=True)
@@ -46,30 +57,30 @@ class Made:
 
 
 def _kind(kind: Callable[..., Any], **fields: st.SearchStrategy[Any]) -> st.SearchStrategy[Made]:
-    weight = st.just(1) | NUMBERS
+    weight = mostly(st.just(1) | st.floats(0, 10), NUMBERS)
     return st.fixed_dictionaries(fields, optional={"weight": weight}).map(lambda values: Made(kind, values))
 
 
 CONSTRAINTS: st.SearchStrategy[Made] = st.one_of(
     _kind(
         constraints.Path,
-        points=st.lists(st.tuples(METRES, METRES) | st.tuples(st.floats(-1, 1), st.floats(-1, 1)), max_size=5),
-        times=st.none() | st.lists(MOMENTS, max_size=5).map(sorted),
-        heading=st.sampled_from([None, None, "along", "across"]) | st.lists(NUMBERS, max_size=5),
+        points=mostly(st.lists(st.tuples(METRES, METRES), min_size=2, max_size=3), st.lists(PAIRS, max_size=5)),
+        times=mostly(st.none(), st.lists(MOMENTS, max_size=5)),
+        heading=mostly(st.sampled_from([None, "along"]), st.just("across") | st.lists(NUMBERS, max_size=5)),
     ),
-    _kind(Waypoint, seconds=MOMENTS, position=st.tuples(METRES, METRES), heading=st.none() | NUMBERS),
+    _kind(Waypoint, seconds=MOMENTS, position=st.tuples(METRES, METRES), heading=st.none() | mostly(HEADINGS, NUMBERS)),
     _kind(
         JointTarget,
-        joint=st.sampled_from([*JOINT_NAMES, "left hand", "tail"]),
-        position=st.tuples(*[st.none() | METRES] * 3),
+        joint=mostly(st.sampled_from([*JOINT_NAMES, "left hand"]), st.just("tail") | ANYTHING),
+        position=st.tuples(METRES, st.none() | METRES, st.none() | METRES),
         seconds=MOMENTS | st.tuples(MOMENTS, MOMENTS),
     ),
-    _kind(constraints.Keyframe, seconds=MOMENTS, joints=POSES | ANYTHING, anywhere=st.booleans() | ANYTHING),
-    _kind(StartPose, joints=POSES | ANYTHING, fps=st.sampled_from([None, 20, 30]) | NUMBERS),
-    _kind(EndPose, joints=POSES | ANYTHING, fps=st.sampled_from([None, 20, 30]) | NUMBERS),
+    _kind(constraints.Keyframe, seconds=MOMENTS, joints=mostly(POSE), anywhere=mostly(st.booleans())),
+    _kind(StartPose, joints=mostly(POSES), fps=mostly(st.sampled_from([None, 20, 30]), NUMBERS)),
+    _kind(EndPose, joints=mostly(POSES), fps=mostly(st.sampled_from([None, 20, 30]), NUMBERS)),
     _kind(Loop),
 )
-KEPT = st.sampled_from(["legs", "left arm", "head", "tail", "", (0, 0.5), (1, 0)]) | st.tuples(MOMENTS, MOMENTS)
+KEPT = mostly(st.sampled_from(["legs", "left arm", "head", (0, 0.5)]), st.tuples(MOMENTS, MOMENTS) | st.just("tail"))
 
 
 @st.composite
@@ -102,15 +113,15 @@ OPTIONS: dict[str, st.SearchStrategy[Any]] = {
 }
 CONSTRAINED: dict[str, st.SearchStrategy[Any]] = {
     "constraints": st.lists(CONSTRAINTS, max_size=3) | st.lists(CONSTRAINTS, min_size=1, max_size=1),
-    "constraint_weight": st.floats(0, 10) | NUMBERS,
-    "constraint_fix": st.booleans() | ANYTHING,
+    "constraint_weight": mostly(st.floats(0, 10), NUMBERS),
+    "constraint_fix": mostly(st.booleans()),
 }
 SECONDS = st.sampled_from([0.5, 1, 2, 9.8, None]) | NUMBERS
 MORE: dict[str, dict[str, st.SearchStrategy[Any]]] = {
     "generate": {"seconds": SECONDS, **CONSTRAINED},
     "takes": {"seconds": SECONDS, "shared_run": st.booleans() | ANYTHING, **CONSTRAINED},
     "batch": {"seconds": SECONDS, "shared_run": st.booleans() | ANYTHING, **CONSTRAINED},
-    "sequence": {"seconds": SECONDS},
+    "sequence": {"seconds": SECONDS, "method": mostly(st.sampled_from(["blend", "continue"]))},
     "compose": {
         "seconds": SECONDS,
         "lambdas": st.tuples(NUMBERS, NUMBERS, NUMBERS) | st.just((0.2, 0.1, 0.7)),
@@ -118,8 +129,8 @@ MORE: dict[str, dict[str, st.SearchStrategy[Any]]] = {
         "method": st.sampled_from(["latent", "semantic", "fused", "other"]),
         **CONSTRAINED,
     },
-    "edit": {"strength": st.floats(0, 1) | NUMBERS, **CONSTRAINED},
-    "inbetween": {"placed": st.booleans() | ANYTHING, **CONSTRAINED},
+    "edit": {"strength": mostly(st.floats(0, 1), NUMBERS), **CONSTRAINED},
+    "inbetween": {"placed": mostly(st.booleans()), **CONSTRAINED},
 }
 """Method -> options that not all methods have."""
 
@@ -136,7 +147,7 @@ def requests(draw: st.DrawFn) -> Request:
         options = OPTIONS | MORE[call]
         names = draw(st.lists(st.sampled_from(sorted(options)), unique=True, max_size=2))
         if "constraints" in options and draw(st.booleans()):
-            names = [*{*names, "constraints"}]
+            inputs, names = mostly(PLAIN, inputs), [*{*names[:1], "constraints"}]
         chosen |= {name: draw(options[name] if draw(st.integers(0, 9)) else ANYTHING) for name in sorted(names)}
     many = draw(st.lists(inputs, max_size=3))
     if call == "compose" and draw(st.booleans()):
@@ -144,10 +155,11 @@ def requests(draw: st.DrawFn) -> Request:
     if call == "takes":
         return call, [draw(inputs), draw(st.integers(-1, 3) | NUMBERS)], chosen
     if call == "edit":
-        chosen["keep"] = draw(KEPT | st.lists(KEPT, max_size=3) | ANYTHING)
-        return call, [draw(st.sampled_from([WALK, WALK, SHORT_CLIP]) | ANYTHING), draw(inputs)], chosen
+        chosen["keep"] = draw(mostly(KEPT | st.lists(KEPT, min_size=1, max_size=3)))
+        return call, [draw(mostly(st.just(WALK), st.just(SHORT_CLIP) | ANYTHING)), draw(mostly(PLAIN, inputs))], chosen
     if call == "inbetween":
-        return call, [draw(POSES | ANYTHING), draw(POSES), draw(SECONDS), draw(inputs)], chosen
+        seconds = draw(mostly(st.sampled_from([1, 2]), SECONDS))
+        return call, [draw(mostly(POSES)), draw(POSES), seconds, draw(mostly(PLAIN, inputs))], chosen
     if call in ("compose", "batch", "sequence"):
         return call, [many if draw(st.integers(0, 9)) else draw(ANYTHING)], chosen
     return call, [draw(inputs) if draw(st.integers(0, 9)) else draw(ANYTHING)], chosen

@@ -193,7 +193,7 @@ def two_bone_ik(hip: Floats, knee: Floats, ankle: Floats, goal: Floats) -> tuple
     # direction of the bend: the part of hip -> knee that is perpendicular to hip -> goal
     bend = (knee - hip) - ((knee - hip) * along).sum(-1, keepdims=True) * along
     # foot and height of the triangle with sides upper, lower and distance
-    reach = (upper**2 - lower**2 + distance**2) / (2 * distance)
+    reach = (upper**2 - lower**2 + distance**2) / (2 * np.maximum(distance, 1e-9))  # a leg without length is a point
     height = np.sqrt(np.maximum(upper**2 - reach**2, 0.0))
     new_knee = hip + reach[:, None] * along + height[:, None] * normalised(bend)
     return new_knee, hip + distance[:, None] * along
