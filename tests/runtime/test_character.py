@@ -292,6 +292,35 @@ def test_a_character_lying_down_or_given_by_matrices_stands_up_all_the_same(tmp_
             np.testing.assert_allclose(shown[joint] + origin, expected[joint], atol=tolerance)
 
 
+@pytest.mark.parametrize("name", ["Mixamo, T-pose, centimetres", "Unreal, A-pose, Z up, twist", "Rigify, A-pose"])
+def test_a_character_exported_in_the_middle_of_a_move_is_put_into_its_bind_pose(tmp_path: Path, name: str) -> None:
+    build, joints = BUILDS[name], flat_footed(walk(30))
+    path = saved(tmp_path, build)
+    expected = clip(joints).onto(path, fps=20).encode()
+
+    def in_a_jump(document: dict[str, Any]) -> None:
+        rng = np.random.default_rng(1)
+        for node in document["nodes"][:-2]:
+            x, y, z, w = node["rotation"]
+            a, b, c = rng.normal(0, 0.25, 3)
+            turned = np.array(
+                [w * a + y * c - z * b, w * b + z * a - x * c, w * c + x * b - y * a, w - x * a - y * b - z * c]
+            )
+            node["rotation"] = (turned / np.linalg.norm(turned) + [x, y, z, w]).tolist()
+        document["nodes"][0]["translation"][1] += 0.3 * build.unit
+
+    path.write_bytes(make_character(build, in_a_jump))
+    jumping = read_character(path)
+    plain, _ = unpacked(expected)
+    found, _ = unpacked(data := clip(joints).onto(jumping, fps=20).encode())
+    np.testing.assert_allclose(
+        played(data, build, tmp_path)["head"], played(expected, build, tmp_path)["head"], atol=1e-4
+    )
+    for ours, theirs in zip(plain["nodes"], found["nodes"], strict=True):
+        np.testing.assert_allclose(ours.get("translation", 0), theirs.get("translation", 0), atol=1e-4 * build.unit)
+        assert ours.get("children") == theirs.get("children")
+
+
 def test_one_character_takes_many_clips_fast(tmp_path: Path, figure: Callable[[str], None]) -> None:
     character = read_character(saved(tmp_path, BUILDS["Mixamo, T-pose, centimetres"]))
     shown = clip(walk(80)).onto(character)

@@ -17,12 +17,13 @@ import numpy as np
 
 from kinegraph.errors import InvalidInputError
 from kinegraph.files import check_target, write_atomically
+from kinegraph.formats.bind_pose import in_bind_pose
 from kinegraph.formats.bvh_skeleton import BvhSkeleton, read_skeleton
 from kinegraph.formats.bvh_skeleton import encode as encode_bvh
 from kinegraph.formats.character_files import MAX_BYTES, embed, read_bytes, refuse_compressed
 from kinegraph.formats.glb import provenance
 from kinegraph.formats.gltf import Buffer, Document, add_animation, container, parse_document, split_container
-from kinegraph.formats.gltf_rig import read_rig, vrm_bones
+from kinegraph.formats.gltf_rig import read_rig, vrm_bones, with_parts
 from kinegraph.formats.gltf_skin import find_floor, spread_points
 from kinegraph.motion.body_shape import BodyShape
 from kinegraph.motion.humanoid import SIDES, Humanoid, find_humanoid
@@ -151,7 +152,7 @@ def decode_character(
         plain = Path(name).suffix.lower() == ".gltf"
         document, binary = embed(*((parse_document(data), b"") if plain else split_container(data)), folder)
         refuse_compressed(document)
-        rig = read_rig(document)
+        document, rig = in_bind_pose(document, binary, read_rig(document))
         humanoid = find_humanoid(rig, vrm=vrm_bones(document), names=names)
         floor = find_floor(document, binary, rig, humanoid)
         shape = measure_shape(rig, humanoid, floor, *spread_points(document, binary, rig))
@@ -208,7 +209,7 @@ def _encode(shown: CharacterClip) -> bytes:
             ]
     motion = _retargeted(shown, rig, root)
     for node in {*motion.rotations, *motion.translations}:
-        nodes[node] = _with_parts(nodes[node], rig, node)
+        nodes[node] = with_parts(nodes[node], rig, node)
     buffer = Buffer(character.binary, document.get("bufferViews", ()), document.get("accessors", ()))
     animation = _animation(buffer, shown, motion, document.get("animations", []))
     document |= {
@@ -237,16 +238,6 @@ def _with_root(rig: Rig, pelvis: int) -> Rig:
 
 def _with_root_in(scene: Document, pelvis: int, root: int) -> Document:
     return {**scene, "nodes": [root if node == pelvis else node for node in scene.get("nodes", ())]}
-
-
-def _with_parts(node: Document, rig: Rig, index: int) -> Document:
-    """Write a node's matrix as translation, rotation and scale, as animated nodes must have them."""
-    if "matrix" not in node:
-        return node
-    w, x, y, z = rig.rotations[index].tolist()
-    plain = {key: value for key, value in node.items() if key != "matrix"}
-    parts = {"translation": rig.translations[index].tolist(), "rotation": [x, y, z, w]}
-    return plain | parts | {"scale": rig.scales[index].tolist()}
 
 
 def _animation(buffer: Buffer, shown: CharacterClip, motion: RigMotion, others: list[Document]) -> Document:

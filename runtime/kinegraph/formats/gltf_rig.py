@@ -71,6 +71,16 @@ def _transform(node: Document) -> tuple[Floats, Floats, Floats]:
     return translation, normalised(rotation[[3, 0, 1, 2]]), scale
 
 
+def with_parts(node: Document, rig: Rig, index: int) -> Document:
+    """Write a node's matrix as translation, rotation and scale, as animated nodes must have them."""
+    if "matrix" not in node:
+        return node
+    w, x, y, z = rig.rotations[index].tolist()
+    plain = {key: value for key, value in node.items() if key != "matrix"}
+    parts = {"translation": rig.translations[index].tolist(), "rotation": [x, y, z, w]}
+    return plain | parts | {"scale": rig.scales[index].tolist()}
+
+
 def vrm_bones(document: Document) -> dict[str, int] | None:
     """Read the humanoid of a VRM file, version 0 or 1: bone -> node; None where there is none."""
     extensions = document.get("extensions", {})

@@ -322,6 +322,9 @@ class _Foot:
         self.lowness = share**2 * (3 - 2 * share)
         self.goal_height = self.height + toe[1]
         self.contacts = find_contacts(self.our_toe, fps)
+        # pelvises that are wider than ours move their feet further when they turn
+        ours_apart = np.linalg.norm(ours[0, JOINT_INDEX["left_hip"]] - ours[0, JOINT_INDEX["right_hip"]])
+        self.most = MAX_CORRECTION * max(1.0, float(2 * np.linalg.norm(points[hip] - middle) / ours_apart))
 
     @staticmethod
     def _toe_at_rest(body: _Body, side: str, ours: Floats) -> Floats:
@@ -348,7 +351,7 @@ class _Foot:
             apart = (toe - self.our_toe)[start:end] * HORIZONTAL
             back = np.median(apart, axis=0) - apart
             distance = np.maximum(np.linalg.norm(back, axis=-1, keepdims=True), 1e-9)
-            horizontal[start:end] = back * np.minimum(1.0, MAX_CORRECTION / distance)
+            horizontal[start:end] = back * np.minimum(1.0, self.most / distance)
         correction = ease_corrections(toe, horizontal, self.contacts, fps)
         correction[:, 1] = self.lowness * (self.goal_height - toe[:, 1])
         return correction
