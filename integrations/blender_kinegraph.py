@@ -11,6 +11,7 @@ import subprocess
 import tempfile
 import urllib.error
 import urllib.request
+from math import atan2
 from pathlib import Path
 
 import bpy
@@ -28,6 +29,8 @@ bl_info = {
 }
 TIMEOUT = 120
 """Seconds for one clip."""
+MOST_POINTS = 100
+"""Of a path."""
 
 
 class Failed(Exception):
@@ -42,16 +45,24 @@ class KinegraphSettings(bpy.types.PropertyGroup):
     seed: IntProperty(name="Seed", default=1, min=0)
     takes: IntProperty(name="Takes", default=1, min=1, max=16, description="Clips of following seeds")
     in_place: BoolProperty(name="In place", description="Without travel over the floor")
+    path: PointerProperty(
+        name="Path",
+        type=bpy.types.Object,
+        poll=lambda _, thing: thing.type == "CURVE",
+        description="Curve to walk along from its start to its end, seen from above",
+    )
     onto: BoolProperty(name="Onto the selected armature", description="Needs the command kinegraph")
     url: StringProperty(name="Server", default="http://127.0.0.1:8421", description="Of kinegraph serve")
     token: StringProperty(name="Token", subtype="PASSWORD")
     command: StringProperty(name="Command", default="kinegraph", description="Used for Onto, and without a server")
 
 
-def fetch(settings, seed, suffix, path):
+def fetch(settings, seed, suffix, path, points):
     """Write a clip to a file: by the server, or by the command where no server answers."""
     wanted = {"text": settings.text, "seconds": settings.seconds, "seed": seed, "format": suffix}
     wanted |= {"in_place": settings.in_place, "fps": bpy.context.scene.render.fps}
+    if points:
+        wanted["constraints"] = [{"type": "path", "points": points}]
     headers = {"Content-Type": "application/json"}
     if settings.token:
         headers["Authorization"] = f"Bearer {settings.token}"
@@ -67,11 +78,13 @@ def fetch(settings, seed, suffix, path):
             raise Failed(f"{settings.url} is no address of a server") from error
     words = ["generate", settings.text, "--seconds", str(settings.seconds), "--seed", str(seed), "-o", str(path)]
     words += ["--fps", str(bpy.context.scene.render.fps), "--force", *(["--in-place"] if settings.in_place else [])]
+    if points:
+        words += ["--path=" + " ".join(f"{x:.4f},{z:.4f}" for x, z in points)]
     run(settings, words)
 
 
 def run(settings, words):
-    """Run the command kinegraph."""
+    """Run the command kinegraph, and return what it prints."""
     try:
         done = subprocess.run(
             [*shlex.split(settings.command), *words], capture_output=True, text=True, timeout=TIMEOUT, check=False
@@ -80,6 +93,46 @@ def run(settings, words):
         raise Failed(f"no server at {settings.url}, and the command does not run: {error}") from error
     if done.returncode:
         raise Failed(done.stderr.strip().splitlines()[-1] if done.stderr.strip() else f"{settings.command} failed")
+    return done.stdout
+
+
+def path_of(curve):
+    """Read a curve as a path of the service, and where it starts.
+
+    Blender's z is up, ours is y: a person that faces our +Z faces Blender's -Y.
+
+    Returns:
+        [[x, z], ...] of a person who starts at the origin and faces +Z along the curve, and the matrix that brings such
+        a person to its start.
+    """
+    if len(curve.data.splines) != 1:
+        raise Failed(f"{curve.name} has {len(curve.data.splines)} splines; a path is one")
+    data = curve.data.copy()
+    data.dimensions, data.bevel_mode, data.bevel_depth, data.extrude = "3D", "ROUND", 0.0, 0.0
+    bare = bpy.data.objects.new("path", data)
+    places = [curve.matrix_world @ vertex.co for vertex in bare.to_mesh().vertices]
+    closed = data.splines[0].use_cyclic_u
+    bpy.data.objects.remove(bare)
+    bpy.data.curves.remove(data)
+    places = [each for index, each in enumerate(places) if not index or (each - places[index - 1]).xy.length > 1e-4]
+    if len(places) < 2:
+        raise Failed(f"{curve.name} has no length, seen from above")
+    places += places[:1] if closed else []
+    ahead = places[1] - places[0]
+    start = Matrix.Translation(places[0]) @ Matrix.Rotation(atan2(ahead.x, -ahead.y), 4, "Z")
+    back = start.inverted()
+    step = -(-len(places) // MOST_POINTS)
+    kept = [*places[:-1:step], places[-1]]
+    return [[place.x, -place.y] for place in (back @ each for each in kept)], start
+
+
+def stand_at(armature, left_hip, right_hip, start):
+    """Move an armature so that it rests at the start of a path and faces along it; its hips say where it faces."""
+    left, right = (armature.matrix_world @ armature.data.bones[name].head_local for name in (left_hip, right_hip))
+    across, middle = left - right, (left + right) / 2
+    # a person who faces -Y has the left side at +X
+    turn = Matrix.Rotation(-atan2(across.y, across.x), 4, "Z")
+    armature.matrix_world = start @ turn @ Matrix.Translation((-middle.x, -middle.y, 0.0)) @ armature.matrix_world
 
 
 def import_armature(path):
@@ -137,6 +190,28 @@ def copy_motion(source, target, name):
                 bone.keyframe_insert("location", frame=frame)
 
 
+def move_selected(settings, armature, seed, folder, name, points, start):
+    """Make one take as an action of an armature, and put that at the start of the path."""
+    clip, hero, moves = folder / "clip.npz", folder / "hero.glb", folder / "moves.glb"
+    export_armature(armature, hero)
+    words = ["retarget", str(clip), str(hero), "-o", str(moves), "--fps", str(bpy.context.scene.render.fps), "--json"]
+
+    def retargeted(path):
+        fetch(settings, seed, "npz", clip, path)
+        return json.loads(run(settings, [*words, "--force"]))
+
+    found = retargeted(points)
+    if start and abs(found["scale"] - 1.0) > 0.01:  # a smaller character needs more of our steps for the same path
+        found = retargeted([[x / found["scale"], z / found["scale"]] for x, z in points])
+    before = set(bpy.data.objects)
+    copy_motion(import_armature(moves), armature, name)
+    for thing in set(bpy.data.objects) - before:
+        bpy.data.objects.remove(thing)
+    bpy.context.view_layer.objects.active = armature
+    if start:
+        stand_at(armature, found["bones"]["left_hip"], found["bones"]["right_hip"], start)
+
+
 class KINEGRAPH_OT_make(bpy.types.Operator):
     """Make clips of the sentence"""
 
@@ -162,27 +237,15 @@ class KINEGRAPH_OT_make(bpy.types.Operator):
     def make(self, settings, armature, seed, folder):
         """Make one take, as a new armature or as an action of the selected one."""
         name = f"{settings.text[:40]} {seed}"
-        if not settings.onto:
-            fetch(settings, seed, "glb", folder / "clip.glb")
-            import_armature(folder / "clip.glb").animation_data.action.name = name
+        points, start = path_of(settings.path) if settings.path else ([], None)
+        if settings.onto:
+            move_selected(settings, armature, seed, folder, name, points, start)
             return
-        fetch(settings, seed, "npz", folder / "clip.npz")
-        export_armature(armature, folder / "hero.glb")
-        words = [
-            "retarget",
-            str(folder / "clip.npz"),
-            str(folder / "hero.glb"),
-            "-o",
-            str(folder / "moves.glb"),
-            "--force",
-        ]
-        run(settings, [*words, "--fps", str(bpy.context.scene.render.fps)])
-        before = set(bpy.data.objects)
-        moving = import_armature(folder / "moves.glb")
-        copy_motion(moving, armature, name)
-        for thing in set(bpy.data.objects) - before:
-            bpy.data.objects.remove(thing)
-        bpy.context.view_layer.objects.active = armature
+        fetch(settings, seed, "glb", folder / "clip.glb", points)
+        made = import_armature(folder / "clip.glb")
+        made.animation_data.action.name = name
+        if start:
+            made.matrix_world = start @ made.matrix_world
 
 
 class KINEGRAPH_PT_panel(bpy.types.Panel):
@@ -202,6 +265,7 @@ class KINEGRAPH_PT_panel(bpy.types.Panel):
             line = layout.row(align=True)
             for name in row:
                 line.prop(settings, name)
+        layout.prop(settings, "path")
         layout.prop(settings, "onto")
         layout.operator("kinegraph.make", icon="PLAY")
         for name in ("url", "token", "command"):

@@ -1,4 +1,4 @@
-# Godot 4: a node that asks `kinegraph serve` for a clip and plays it. Not run by the tests.
+# Godot 4: a node that asks `kinegraph serve` for a clip and plays it. Parsed by the tests, not run.
 #
 #   var clip := Kinegraph.new()
 #   add_child(clip)

@@ -1,4 +1,4 @@
-// Unity 2022 or later with com.unity.cloud.gltfast: asks `kinegraph serve` for a clip and plays it. Not run by the tests.
+// Unity 2022 or later with com.unity.cloud.gltfast: asks `kinegraph serve` for a clip and plays it. Compiled by the tests, not run.
 using System.Collections;
 using System.Text;
 using GLTFast;

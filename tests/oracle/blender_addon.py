@@ -9,8 +9,9 @@ import sys
 
 import bpy
 import numpy as np
+from mathutils import Matrix, Vector
 
-np.bool = bool  # Debian's Blender 3.4 has a NumPy that has dropped it
+vars(np).setdefault("bool", bool)  # Debian's Blender 3.4 has a NumPy that has dropped it
 addon_path, url, command, hero = sys.argv[sys.argv.index("--") + 1 :]
 specification = importlib.util.spec_from_file_location("blender_kinegraph", addon_path)
 addon = importlib.util.module_from_spec(specification)
@@ -47,6 +48,38 @@ found["left_over"] = len(bpy.data.objects) - count
 found["action"] = armature.animation_data.action.name
 found["joints"] = ["thigh_l", "calf_l", "foot_l", "upperarm_r", "lowerarm_r", "hand_r"]
 found["points"] = points(armature, found["joints"])
+
+# a bend to the right that starts away from the origin, on a turned and scaled object
+data = bpy.data.curves.new("bend", "CURVE")
+data.dimensions, data.bevel_depth = "3D", 0.1
+spline = data.splines.new("BEZIER")
+spline.bezier_points.add(1)
+for point, place in zip(spline.bezier_points, [(0, 0, 0), (0.5, 1.0, 0)], strict=True):
+    point.co, point.handle_left_type, point.handle_right_type = place, "FREE", "FREE"
+spline.bezier_points[0].handle_right = (0, 0.5, 0)
+spline.bezier_points[1].handle_left = (0.25, 1.0, 0)
+bend = bpy.data.objects.new("bend", data)
+bpy.context.collection.objects.link(bend)
+bend.matrix_world = Matrix.Translation((3, 2, 0)) @ Matrix.Rotation(0.7, 4, "Z") @ Matrix.Scale(2.0, 4)
+settings.path, count = bend, len(bpy.data.objects)
+found["onto_path"] = list(bpy.ops.kinegraph.make())
+found["path_left_over"] = len(bpy.data.objects) - count
+found["walked"] = {"onto": points(armature, ["pelvis"])}
+settings.onto = False
+before = set(bpy.data.objects)
+found["made_path"] = list(bpy.ops.kinegraph.make())
+walker = next(thing for thing in set(bpy.data.objects) - before if thing.type == "ARMATURE")
+found["walked"]["made"] = points(walker, ["pelvis"])
+found["asked"] = [list(place) for place in addon.path_of(bend)[0]]
+found["bend"] = []
+for step in range(101):
+    u = step / 100
+    weights = ((1 - u) ** 3, 3 * u * (1 - u) ** 2, 3 * u**2 * (1 - u), u**3)
+    corners = [(0, 0, 0), (0, 0.5, 0), (0.25, 1, 0), (0.5, 1, 0)]
+    place = sum((w * Vector(p) for w, p in zip(weights, corners, strict=True)), Vector())
+    place = bend.matrix_world @ place
+    found["bend"].append([place.x, place.z, -place.y])
+settings.path = None
 settings.text = ""
 try:
     found["empty"] = list(bpy.ops.kinegraph.make())

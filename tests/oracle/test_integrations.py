@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+import shutil
 import subprocess
 import sys
 from collections.abc import Callable
@@ -64,6 +65,21 @@ def test_the_add_on_makes_clips_and_moves_the_selected_armature(
         bones = clip.joints[:, JOINT_INDEX[ours[1]]] - clip.joints[:, JOINT_INDEX[ours[0]]]
         cosine = (theirs * bones).sum(-1) / np.linalg.norm(theirs, axis=-1) / np.linalg.norm(bones, axis=-1)
         worst = max(worst, float(np.degrees(np.arccos(np.clip(cosine, -1, 1))).max()))
+    assert report["made_path"] == report["onto_path"] == ["FINISHED"] and report["path_left_over"] == 0
+    # the path that was asked for is the bend, from its start and ahead along it
+    bend = np.array(report["bend"])[:, [0, 2]]
+    asked = np.array(report["asked"])
+    np.testing.assert_allclose(asked[0], 0, atol=1e-5)
+    assert abs(asked[1, 0]) < 1e-4 < asked[1, 1]
+    np.testing.assert_allclose(np.linalg.norm(asked[-1]), np.linalg.norm(bend[-1] - bend[0]), atol=1e-4)
+    assert asked[-1, 0] < 0  # the bend is to the right of who walks it
+    off = {}
+    for name, walked in report["walked"].items():
+        pelvis = np.array(walked)[:, 0][:, [0, 2]]
+        off[name] = float(np.linalg.norm(pelvis[:, None] - bend, axis=-1).min(axis=1).max())
+        assert np.linalg.norm(pelvis[0] - bend[0]) < 0.05 and np.linalg.norm(pelvis[-1] - bend[-1]) < 0.25
+    figure(f"the add-on in Blender: metres from the curve at most: {off}")
+    assert max(off.values()) < 0.2
     figure(f"the add-on in Blender: the arm of the selected armature is at most {worst:.2f} degrees from ours")
     assert worst < 2.0
 
@@ -76,3 +92,20 @@ def test_the_other_programs_ask_for_what_the_service_takes() -> None:
         text = (FOLDER / name).read_text(encoding="utf-8")
         assert set(re.findall(r"/v1/\w+", text)) <= set(paths)
         assert "127.0.0.1:8421" in text and '"text' in text.replace("'", '"').replace('\\"', '"')
+
+
+def test_the_script_for_unity_compiles(tmp_path: Path) -> None:
+    compiler = shutil.which("mcs")
+    if compiler is None:
+        pytest.skip("needs a C# compiler: apt-get install mono-mcs")
+    sources = [FOLDER / "unity" / "KinegraphClip.cs", Path(__file__).with_name("unity_stubs.cs")]
+    command = [compiler, "-target:library", f"-out:{tmp_path / 'all.dll'}", "-warnaserror+", "-nowarn:649"]
+    done = subprocess.run([*command, *map(str, sources)], capture_output=True, text=True, timeout=120, check=False)
+    assert done.returncode == 0, done.stdout + done.stderr
+
+
+def test_the_script_for_godot_parses() -> None:
+    parser = pytest.importorskip("gdtoolkit.parser", reason="needs a parser of GDScript: pip install gdtoolkit").parser
+    tree = parser.parse((FOLDER / "godot" / "kinegraph.gd").read_text(encoding="utf-8"), gather_metadata=True)
+    names = {node.children[0].children[0].value for node in tree.find_data("func_def")}
+    assert names == {"_ready", "play", "_on_answer"}
