@@ -6,7 +6,7 @@ import os
 from collections.abc import Callable, Iterator
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import onnxruntime
 import pytest
@@ -16,6 +16,10 @@ from kinegraph.bundle import reader
 from support.playground import TEXT, PlaygroundClient, running_playground
 from support.synthetic_bundle import write_bundle
 from support.toy import with_parser
+from support.workers import shared_folder
+
+if TYPE_CHECKING:
+    from support.tracing import Traces
 
 _FIGURE: Final = "figure"
 _SKIPPED: Final = "kinegraph/skipped"
@@ -77,6 +81,17 @@ def server(pipe: MotionPipeline) -> Iterator[PlaygroundClient]:
         yield playground
 
 
+@pytest.fixture(scope="module")
+def traces(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Traces]:
+    """Graphs that are exported in this module are traced once in the whole run of the tests."""
+    pytest.importorskip("torch")
+    pytest.importorskip("onnxscript")
+    from support.tracing import traced_once
+
+    with traced_once(shared_folder(tmp_path_factory, "traces")) as found:
+        yield found
+
+
 @pytest.fixture
 def figure(request: pytest.FixtureRequest) -> Callable[[str], None]:
     """Note one measured figure, to be printed after the tests."""
@@ -103,17 +118,19 @@ def is_long(request: pytest.FixtureRequest) -> bool:
     return bool(request.config.getoption("--promises") == "long")
 
 
+@pytest.hookimpl(trylast=True)
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Deselect what ran before, where `--only-skipped` asks for it; without a run before, run everything."""
+    """Keep what `--only-skipped` asks for, files with slow tests first, so that no worker ends with one alone."""
     skipped = config.cache and config.cache.get(_SKIPPED, None)
-    if not config.getoption("--only-skipped") or skipped is None:
-        return
-    chosen, others = [], []
-    for item in items:
-        again = item.get_closest_marker("with_extras") or {item.nodeid, item.nodeid.split("::")[0]} & set(skipped)
-        (chosen if again else others).append(item)
-    config.hook.pytest_deselected(items=others)
-    items[:] = chosen
+    if config.getoption("--only-skipped") and skipped is not None:  # without a run before, everything runs
+        chosen, others = [], []
+        for item in items:
+            again = item.get_closest_marker("with_extras") or {item.nodeid, item.nodeid.split("::")[0]} & set(skipped)
+            (chosen if again else others).append(item)
+        config.hook.pytest_deselected(items=others)
+        items[:] = chosen
+    slow = {item.path for item in items if item.get_closest_marker("slow")}
+    items.sort(key=lambda item: item.path not in slow)
 
 
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter, config: pytest.Config) -> None:

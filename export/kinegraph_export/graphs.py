@@ -206,7 +206,11 @@ def trace_to_onnx(module: nn.Module, contract: GraphContract, frames_per_token: 
 
 
 def export_graph(
-    module: nn.Module, contract: GraphContract, frames_per_token: int, precision: Precision
+    module: nn.Module,
+    contract: GraphContract,
+    frames_per_token: int,
+    precision: Precision,
+    traced: onnx.ModelProto | None = None,
 ) -> tuple[bytes, dict[str, float]]:
     """Export one graph, and measure how far it is from its module.
 
@@ -215,6 +219,7 @@ def export_graph(
         contract: of the graph.
         frames_per_token: which the number of frames is a multiple of.
         precision: of the bundle.
+        traced: what `trace_to_onnx` made of the module, where it is at hand; it is changed.
 
     Returns:
         ONNX bytes, and differences: by the graph's name the largest one in float32, and by `int8_{name}` the relative
@@ -224,7 +229,7 @@ def export_graph(
         ParityError: the exported graph differs from the module.
     """
     draw = random_inputs(contract, frames_per_token)
-    model = trace_to_onnx(module, contract, frames_per_token)
+    model = trace_to_onnx(module, contract, frames_per_token) if traced is None else traced
     data = serialise(store_float16(copy.deepcopy(model)))
     parity = {contract.name: max_difference(data, module, contract, draw)}
     if precision == "int8" and contract.name not in FLOAT32_GRAPHS:
@@ -317,18 +322,20 @@ def export_graphs(
     files: dict[str, bytes] = {}
     parity: dict[str, float] = {}
     modules = graph_modules(trained)
+    exact: dict[str, onnx.ModelProto] = {}
     for name, module in modules.items():
-        contract = declared[name]
-        files[contract.file], differences = export_graph(module, contract, group, precision)
+        contract, traced = declared[name], trace_to_onnx(module, declared[name], group)
+        if precision == "int8" and name in COARSE_DECODERS.values():
+            exact[name] = store_float16(copy.deepcopy(traced))
+        files[contract.file], differences = export_graph(module, contract, group, precision, traced)
         parity |= differences
     if set(trained.coarse) == set(COARSE_DECODERS):
         for level, name in DECODER_GRADIENTS.items():
             decoder = COARSE_DECODERS.get(level, "decoder")
-            module, exact = modules[decoder], None
-            if precision == "int8" and decoder in INT8_WEIGHT_GRAPHS:
-                exact = store_float16(trace_to_onnx(module, declared[decoder], group))
             stored = files[declared[decoder].file]
-            files[declared[name].file], differences = export_gradient(module, declared[name], group, stored, exact)
+            files[declared[name].file], differences = export_gradient(
+                modules[decoder], declared[name], group, stored, exact.get(decoder)
+            )
             parity |= differences
     for name in AGD_DENOISERS.values():
         file, source = declared[name].file, declared[WEIGHT_SOURCES[name]].file

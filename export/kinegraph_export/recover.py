@@ -184,8 +184,9 @@ def recover_autoencoder(bundle: Bundle, level: str, checkpoint: Path, contract: 
         )
     # Standardisation and normalisation are not recovered. Their probes are different numbers, as the exporter would
     # store equal ones once, and not 0 or 1, as it would leave out the arithmetic.
-    centre, scale = torch.rand(2, config.tokens, config.latent_width) + 2
-    gain, shift = torch.rand(2, config.features) + 2
+    generator = torch.Generator().manual_seed(1)
+    centre, scale = torch.rand(2, config.tokens, config.latent_width, generator=generator) + 2
+    gain, shift = torch.rand(2, config.features, generator=generator) + 2
     fine = level == LEVELS[-1]
     module = DecoderGraph(vae, centre, scale) if fine else CoarseDecoderGraph(vae, centre, scale, gain, shift)
     data = bundle.files[contract.file] if fine else bundle.read_optional(contract.file)

@@ -6,6 +6,8 @@ from pathlib import Path
 
 import pytest
 
+from support.workers import made_once
+
 
 @pytest.fixture(scope="session")
 def trained(tmp_path_factory: pytest.TempPathFactory) -> Path:
@@ -14,6 +16,4 @@ def trained(tmp_path_factory: pytest.TempPathFactory) -> Path:
         pytest.importorskip(needed)
     from support.toy_run import train
 
-    folder = tmp_path_factory.mktemp("toy")
-    train(folder)
-    return folder
+    return made_once(tmp_path_factory, "toy", train)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
 from dataclasses import dataclass
 
 import pytest
@@ -21,7 +20,6 @@ from kinegraph_export.modules import AgdContextGraph, AgdDenoiserGraph, ContextG
 from kinegraph_export.onnx_export import round_weights
 from kinegraph_training.models.agd import AgdNoisePredictor
 from kinegraph_training.models.denoiser import Denoiser, DenoiserConfig, LatentShape
-from support.tracing import traced_once
 
 WIDTH, LAYERS, HEADS, CHANNELS = 64, 3, 2, 6
 CONFIG = DenoiserConfig(width=WIDTH, layers=LAYERS, heads=HEADS, feed_forward=128, text_width=12, context_layers=1)
@@ -247,12 +245,7 @@ def test_padding_has_no_influence() -> None:
 LEVEL = LevelSpec(4, CHANNELS, WIDTH, HEADS, LAYERS, ("motion",))
 
 
-@pytest.fixture(scope="module", autouse=True)
-def traces() -> Iterator[None]:
-    with traced_once():
-        yield
-
-
+@pytest.mark.usefixtures("traces")
 @pytest.mark.parametrize("precision", ["fp32", "int8"])
 def test_the_exported_step_is_the_network_and_moves_its_context(precision: str) -> None:
     case = make_case(2, 4, 5, 0.02, 9)
@@ -268,6 +261,7 @@ def test_the_exported_step_is_the_network_and_moves_its_context(precision: str) 
     assert np.abs(session.run(None, moved)[0] - session.run(None, still)[0]).max() > 1e-4
 
 
+@pytest.mark.usefixtures("traces")
 def test_the_exported_context_is_what_keys_are_made_of() -> None:
     case = make_case(2, 4, 5, 0.02, 9)
     round_weights(case.denoiser)
