@@ -11,9 +11,9 @@ Above 500 lines because all public calls are here, each with all its options and
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property, wraps
+from functools import cached_property, partial, wraps
 from operator import itemgetter
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar
@@ -63,6 +63,7 @@ from kinegraph.validation import check_callback, check_flag, short_repr
 if TYPE_CHECKING:
     from kinegraph.constrained_denoising import Wanted
     from kinegraph.constraints import Constraint
+    from kinegraph.part_memory import PartMemory
 
 OnLevel = Callable[[str, Clip], None]
 """Called after a level of `contract.COARSE_DECODERS`, with its name and the clip as far as it has come."""
@@ -416,6 +417,7 @@ class MotionPipeline:
         strict: bool = False,
         timeout: float | None = None,
         on_step: OnStep | None = None,
+        memory: PartMemory | None = None,
     ) -> Clip:
         """Make one clip of several sentences, one after another.
 
@@ -429,12 +431,17 @@ class MotionPipeline:
             seconds: of each part: one length, one per sentence, or None for what each asks for.
             seed, steps, guidance, foot_fix, strict, timeout: as in `generate`.
             on_step: as in `generate`; its `done` and `total` are those of all parts.
+            memory: parts that were made before, and need not be made again.
 
         Raises:
             InvalidInputError, Cancelled, NonFiniteError: as in `generate`; also for a bundle without gradients of its
                 decoders, which "continue" needs.
         """
         deadline = _check_call(timeout, on_step, strict=strict)
+        if memory is not None:
+            from kinegraph.part_memory import check_memory
+
+            check_memory(memory).begin()
         on_step = deadline.watch(on_step)
         lengths = validate_lengths(texts, seconds, MAX_PARTS, "a sequence")
         if validate_sequence_method(method) == "continue":
@@ -463,9 +470,10 @@ class MotionPipeline:
             for sentence, sentence_seed in zip(sentences, seeds, strict=True)
             for index, part in enumerate(sentence.parts)
         ]
+        of_sentence = [index for index, sentence in enumerate(sentences) for _ in sentence.parts]
         text = sequence_caption([graph.caption for graph in graphs])
         make_parts = self._continue_parts if method == "continue" else self._make_parts
-        clip = make_parts(parts, on_step)
+        clip = make_parts(parts, on_step, memory, of_sentence)
         return replace(clip, text=text, unknown=unknown, notes=tuple(dict.fromkeys((*notes, *clip.notes))))
 
     @_with_typed_memory_errors
@@ -763,13 +771,24 @@ class MotionPipeline:
             clip = self._sample(part, seed, on_step, on_latent, wanted)
         return replace(clip, graph=sentence.graph, notes=(*sentence.notes, *clip.notes))
 
-    def _make_parts(self, parts: Sequence[tuple[_EncodedPart, int]], on_step: OnStep | None) -> Clip:
-        """Sample parts, each with its seed and as much longer as the blends need, and stitch them."""
+    def _make_parts(
+        self,
+        parts: Sequence[tuple[_EncodedPart, int]],
+        on_step: OnStep | None,
+        memory: PartMemory | None = None,
+        of_sentence: Sequence[int] = (),
+    ) -> Clip:
+        """Sample parts, each with its seed and as much longer as the blends need, and stitch them.
+
+        A memory gives back those that it has; `of_sentence` tells to which sentence each part belongs.
+        """
         clips, leads = [], []
         for index, (part, seed) in enumerate(parts):
             before, after = blend_margins(self.manifest.fps, first=index == 0, last=index == len(parts) - 1)
             lead, options = with_margins(part.options, self.manifest, before, after)
-            clips.append(self._sample(part.with_options(options), seed, subrange_progress(on_step, index, len(parts))))
+            sized, progress = part.with_options(options), subrange_progress(on_step, index, len(parts))
+            make = partial(self._sample, sized, seed, progress)
+            clips.append(make() if memory is None else memory.part(of_sentence[index], _key(self, sized, seed), make))
             leads.append(lead)
         lengths = [part.options.frames for part, _ in parts]
         foot_fix = parts[0][0].options.foot_fix
@@ -778,8 +797,14 @@ class MotionPipeline:
         )
         return replace(clips[0], joints=joints, graph=None)
 
-    def _continue_parts(self, parts: Sequence[tuple[_EncodedPart, int]], on_step: OnStep | None) -> Clip:
-        """Sample parts, each with its seed and from the last frames of the one before."""
+    def _continue_parts(
+        self,
+        parts: Sequence[tuple[_EncodedPart, int]],
+        on_step: OnStep | None,
+        memory: PartMemory | None = None,
+        of_sentence: Sequence[int] = (),
+    ) -> Clip:
+        """Sample parts, each with its seed and from the last frames of the one before; see `_make_parts`."""
         from kinegraph.clip_editing import begin_in
         from kinegraph.constraints import POSE_SECONDS
         from kinegraph.motion.body_frame import append_part
@@ -790,8 +815,10 @@ class MotionPipeline:
         for index, (part, seed) in enumerate(parts):
             wanted = None if joints is None else begin_in(joints[-overlap:], self.sampler)
             _, options = with_margins(part.options, self.manifest, 0 if joints is None else overlap, 0)
-            progress = subrange_progress(on_step, index, len(parts))
-            clips.append(self._sample(part.with_options(options), seed, progress, wanted=wanted))
+            sized, progress = part.with_options(options), subrange_progress(on_step, index, len(parts))
+            make = partial(self._sample, sized, seed, progress, wanted=wanted)
+            begins = b"" if joints is None else joints[-overlap:].tobytes()
+            clips.append(make() if memory is None else memory.part(of_sentence[index], _key(self, sized, seed, begins), make))
             joints = clips[-1].joints if joints is None else append_part(joints, clips[-1].joints, overlap)
         assert joints is not None
         notes = tuple(note for clip in clips for note in clip.notes)
@@ -872,6 +899,11 @@ class MotionPipeline:
                 on_level(level, self.decoder.decode(latents, [options], [caption], level)[0])
 
         return decode_level
+
+
+def _key(pipeline: MotionPipeline, part: _EncodedPart, seed: int, begins: bytes = b"") -> Hashable:
+    """All that a part depends on: with another beginning, given by its frames, it is another one."""
+    return (pipeline, part.graph, part.plan, repr(part.options), seed, begins)
 
 
 def _check_call(

@@ -1,0 +1,79 @@
+"""Parts of sequences are kept under all that they depend on, and few of them: what did not change is not made again."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from kinegraph import InvalidInputError, MotionPipeline
+from kinegraph.clip import Clip
+from kinegraph.part_memory import PartMemory
+
+TEXTS = ["a person walks forward", "a person turns left", "a person bows", "a person waves"]
+FEW: dict[str, Any] = {"seconds": [1, 1.5, 1, 1], "steps": 2, "seed": 4}
+
+
+@pytest.mark.parametrize(
+    ("changes", "made"),
+    [
+        ({}, ()),
+        ({"texts": [*TEXTS[:2], "a person kneels", TEXTS[3]]}, (2,)),
+        ({"seconds": [1, 1.5, 1.4, 1]}, (2,)),
+        ({"seed": 5}, (0, 1, 2, 3)),
+        ({"steps": 3}, (0, 1, 2, 3)),
+        ({"guidance": 1.2}, (0, 1, 2, 3)),
+        ({"foot_fix": False}, (0, 1, 2, 3)),
+        ({"texts": TEXTS[:3], "seconds": FEW["seconds"][:3]}, (2,)),  # the last part needs no time for a blend
+    ],
+)
+def test_a_sequence_makes_only_what_changed_and_equals_one_that_makes_all(
+    toy: MotionPipeline, changes: dict[str, Any], made: tuple[int, ...]
+) -> None:
+    memory = PartMemory()
+    toy.sequence(TEXTS, **FEW, memory=memory)
+    assert memory.made == (0, 1, 2, 3)
+    options = {"texts": TEXTS, **FEW, **changes}
+    clip = toy.sequence(**options, memory=memory)
+    assert memory.made == made
+    np.testing.assert_array_equal(clip.joints, toy.sequence(**options).joints)
+
+
+def test_a_weighted_graph_is_another_part(toy: MotionPipeline) -> None:
+    memory = PartMemory()
+    graph = toy.parse("a person walks slowly")
+    toy.sequence([graph, TEXTS[2]], seconds=1, steps=2, seed=4, memory=memory)
+    action = graph.actions[0]
+    weak = replace(action.arguments[-1], weight=0.25)
+    other = replace(graph, actions=(replace(action, arguments=(*action.arguments[:-1], weak)),))
+    toy.sequence([other, TEXTS[2]], seconds=1, steps=2, seed=4, memory=memory)
+    assert memory.made == (0,)
+
+
+def test_another_pipeline_gets_nothing_of_this_one(toy: MotionPipeline) -> None:
+    memory = PartMemory()
+    toy.sequence(TEXTS, **FEW, memory=memory)
+    toy.with_sessions(toy.sampler.sessions).sequence(TEXTS, **FEW, memory=memory)
+    assert memory.made == (0, 1, 2, 3)
+
+
+def test_the_memory_is_bounded_in_number_and_bytes(toy: MotionPipeline) -> None:
+    clip = Clip(np.zeros((10, 22, 3), dtype=np.float32), 20.0, 1, "a person stands", "toy 1")
+    few = PartMemory(2)
+    for key in "abc":
+        few.keep(key, clip)
+        few.get("a")
+    assert [few.get(key) is None for key in "abc"] == [False, True, False]
+    assert few.bytes == 2 * clip.joints.nbytes
+    small = PartMemory(99, most_bytes=3 * clip.joints.nbytes)
+    for key in range(50):
+        small.keep(key, clip)
+        small.keep(key, clip)
+    assert small.bytes == 3 * clip.joints.nbytes and small.get(46) is None and small.get(47) is clip
+    none = PartMemory(99, most_bytes=10)
+    none.keep("a", clip)
+    assert none.bytes == 0 and none.get("a") is None
+    with pytest.raises(InvalidInputError, match="memory is a PartMemory or None"):
+        toy.sequence(TEXTS, **FEW, memory={})  # type: ignore[arg-type]
