@@ -8,15 +8,16 @@ times count from its beginning, places from where the part before ends. Parts ov
 
 from __future__ import annotations
 
-from collections import OrderedDict
-from collections.abc import Sequence
-from dataclasses import fields, replace
+import hashlib
+from collections.abc import Hashable, Mapping, Sequence
+from dataclasses import dataclass, fields, replace
 from typing import Any, Final
 
 import numpy as np
 
 from kinegraph.arrays import FloatArray
 from kinegraph.clip import Clip
+from kinegraph.concepts import Concept
 from kinegraph.constraints import (
     POSE_SECONDS,
     Constraint,
@@ -31,6 +32,7 @@ from kinegraph.constraints import (
 from kinegraph.diffusion.sampling import OnStep, subrange_progress
 from kinegraph.errors import InvalidInputError
 from kinegraph.graph import SemanticGraph
+from kinegraph.layers import Layer, check_layers, notes_of, spans_of
 from kinegraph.limits import MAX_PARTS
 from kinegraph.motion.body_frame import BodyFrame, append_part
 from kinegraph.motion.skeleton import start_at_origin
@@ -43,31 +45,12 @@ from kinegraph.options import (
     sequence_caption,
     validate_lengths,
 )
+from kinegraph.part_memory import PartMemory, check_memory
 from kinegraph.pipeline import MotionPipeline
 from kinegraph.placements import misses_of
 
 PATH_STEP: Final = 0.2
 """Seconds between two points of a part's piece of a path."""
-
-
-class PartMemory:
-    """The latest parts that were made: the same part of the same words is not made again. Not shared by threads."""
-
-    def __init__(self, most: int = 64) -> None:
-        self._clips: OrderedDict[object, Clip] = OrderedDict()
-        self._most = most
-
-    def get(self, key: object) -> Clip | None:
-        """Return a part that was made, or None."""
-        if key in self._clips:
-            self._clips.move_to_end(key)
-        return self._clips.get(key)
-
-    def keep(self, key: object, clip: Clip) -> None:
-        """Keep a part, and drop the one that was asked for longest ago."""
-        self._clips[key] = clip
-        if len(self._clips) > self._most:
-            self._clips.popitem(last=False)
 
 
 def generate_timeline(
@@ -77,6 +60,7 @@ def generate_timeline(
     seconds: float | Sequence[float],
     constraints: Sequence[Constraint] = (),
     constraint_weight: float = 1.0,
+    layers: Sequence[Layer] = (),
     seed: int | None = None,
     steps: Steps | None = None,
     guidance: Guidance | None = None,
@@ -91,11 +75,13 @@ def generate_timeline(
         texts: 1 to `limits.MAX_PARTS` sentences or graphs; sentence k is generated with seed + k.
         seconds: of each part, or one length for all.
         constraints: times from the beginning of the whole clip, places where they are in it.
+        layers: concepts, with which every sentence that their span touches is composed (`MotionPipeline.compose`).
         constraint_weight, seed, steps, guidance, foot_fix, on_step: as in `MotionPipeline.generate`.
         memory: parts that were made before, and need not be made again.
 
     Raises:
-        InvalidInputError: as in `MotionPipeline.generate`; also a `Loop`, and times behind the end.
+        InvalidInputError: as in `MotionPipeline.generate` and `layers.check_layers`; also a `Loop`, and times behind
+            the end.
     """
     lengths = validate_lengths(texts, seconds, MAX_PARTS, "a timeline")
     manifest, fps = pipeline.manifest, pipeline.manifest.fps
@@ -106,32 +92,30 @@ def generate_timeline(
     first = resolve_options(manifest, seconds=lengths[0], seed=seed).seed
     seeds = batch_seeds(first, len(texts), takes=1, most=MAX_PARTS)
     frames = [frame_count(manifest, length) for length in lengths]
-    ends = np.cumsum(frames) / fps
-    _check_times(constraints, float(ends[-1]))
+    ends = [float(end) for end in np.cumsum(frames) / fps]
+    _check_times(constraints, ends[-1])
+    layers = check_layers(layers, ends)
+    shared = {"steps": steps, "guidance": guidance, "foot_fix": foot_fix, "constraint_weight": constraint_weight}
+    memory = PartMemory() if memory is None else check_memory(memory)
+    memory.begin()
+    parts = _Parts(pipeline, shared, on_step, len(texts), memory)
     overlap = max(1, round(POSE_SECONDS * fps))
     whole: FloatArray | None = None
     clips: list[Clip] = []
-    for index, (text, count) in enumerate(zip(texts, frames, strict=True)):
+    for index, (text, span) in enumerate(zip(texts, spans_of(ends), strict=True)):
         lead = 0 if whole is None else overlap
         frame = BodyFrame(np.zeros(3), 0.0) if whole is None else BodyFrame.of(whole[-overlap])
-        span = (0.0 if index == 0 else float(ends[index - 1]), float(ends[index]))
-        wanted = localised(constraints, span, float(ends[-1]), lead / fps, frame)
+        wanted = localised(constraints, span, ends[-1], lead / fps, frame)
         if whole is not None:
             # near the origin, however far the whole has come
             wanted = (StartPose(start_at_origin(whole[-overlap:]), fps=fps), *wanted)
-        options: dict[str, Any] = {"seconds": (count + lead) / fps, "seed": seeds[index], "steps": steps}
-        options |= {"guidance": guidance, "foot_fix": foot_fix, "constraint_weight": constraint_weight}
-        key = (text, *options.items(), *map(_fingerprint, wanted))
-        clip = None if memory is None else memory.get(key)
-        if clip is None:
-            progress = subrange_progress(on_step, index, len(texts))
-            clip = pipeline.generate(text, constraints=wanted, on_step=progress, **options)
-            if memory is not None:
-                memory.keep(key, clip)
+        concepts = tuple(layer.concept for layer in layers if layer.touches(*span))
+        clip = parts.make(index, text, concepts, wanted, seconds=(frames[index] + lead) / fps, seed=seeds[index])
         clips.append(clip)
         whole = clip.joints if whole is None else append_part(whole, clip.joints, lead)
     assert whole is not None
     unknown = {words.text.lower(): words for clip in clips for words in clip.unknown}
+    notes = (*notes_of(layers, ends), *(note for clip in clips for note in clip.notes))
     return replace(
         clips[0],
         joints=whole,
@@ -139,9 +123,41 @@ def generate_timeline(
         text=sequence_caption([clip.text for clip in clips]),
         graph=clips[0].graph if len(clips) == 1 else None,
         unknown=tuple(unknown.values()),
-        notes=tuple(dict.fromkeys(note for clip in clips for note in clip.notes)),
+        notes=tuple(dict.fromkeys(notes)),
         misses=misses_of(constraints, whole, fps),
     )
+
+
+@dataclass(frozen=True)
+class _Parts:
+    """Makes the parts of one timeline, but for those that are remembered."""
+
+    pipeline: MotionPipeline
+    shared: Mapping[str, Any]
+    """Options of every part."""
+    on_step: OnStep | None
+    count: int
+    memory: PartMemory
+
+    def make(
+        self,
+        index: int,
+        text: str | SemanticGraph,
+        concepts: tuple[Concept, ...],
+        wanted: Sequence[Constraint],
+        **own: Any,
+    ) -> Clip:
+        """Make part `index`: the sentence alone, or composed with the concepts of layers."""
+        options = {**self.shared, **own}
+        progress = subrange_progress(self.on_step, index, self.count)
+
+        def make() -> Clip:
+            if not concepts:
+                return self.pipeline.generate(text, constraints=wanted, on_step=progress, **options)
+            return self.pipeline.compose([text, *concepts], constraints=wanted, on_step=progress, **options)
+
+        key = (self.pipeline, text, concepts, repr(options), *map(_fingerprint, wanted))
+        return self.memory.part(index, key, make)
 
 
 def _check_times(constraints: Sequence[Constraint], whole: float) -> None:
@@ -242,7 +258,11 @@ def _piece(path: Path, span: tuple[float, float], whole: float, lead: float, fra
     return [Path(points, times - span[0] + lead, heading, path.weight)]
 
 
-def _fingerprint(constraint: Constraint) -> tuple[object, ...]:
-    """All that a constraint says, as a value that can be compared."""
+def _fingerprint(constraint: Constraint) -> Hashable:
+    """All that a constraint says, as a value that can be compared; arrays by their hash."""
     values = (getattr(constraint, field.name) for field in fields(constraint))
-    return (type(constraint), *((value.tobytes() if isinstance(value, np.ndarray) else value) for value in values))
+    return (type(constraint), *(_hashed(value) if isinstance(value, np.ndarray) else value for value in values))
+
+
+def _hashed(array: np.ndarray[Any, Any]) -> Hashable:
+    return (array.shape, array.dtype.str, hashlib.sha256(array.tobytes()).digest())

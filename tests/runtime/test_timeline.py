@@ -12,7 +12,8 @@ from kinegraph.constraints import EndPose, JointTarget, Keyframe, Loop, Path, St
 from kinegraph.errors import InvalidInputError
 from kinegraph.motion.body_frame import BodyFrame
 from kinegraph.motion.skeleton import JOINT_INDEX
-from kinegraph.timeline import PartMemory, generate_timeline, localised
+from kinegraph.part_memory import PartMemory
+from kinegraph.timeline import generate_timeline, localised
 from support.motions import walk
 
 WHERE = BodyFrame(np.array([1.0, 0.0, 2.0]), np.pi / 2)
@@ -92,11 +93,11 @@ def test_only_what_changed_is_made_again(constrained: MotionPipeline) -> None:
             calls.append(options["seconds"])
             return generate(*arguments, **options)
 
+    counting: Any = Counting()
+
     def make(texts: list[str], *wanted: Any) -> Any:
         calls.clear()
-        return generate_timeline(
-            Counting(), texts, seconds=1, constraints=wanted, seed=3, steps=2, memory=memory  # type: ignore[arg-type]
-        )  # fmt: skip
+        return generate_timeline(counting, texts, seconds=1, constraints=wanted, seed=3, steps=2, memory=memory)
 
     late = Waypoint(2.8, (0.2, 1.5))
     first = make(TEXTS, late)
@@ -109,14 +110,6 @@ def test_only_what_changed_is_made_again(constrained: MotionPipeline) -> None:
     assert len(calls) == 2  # from the changed sentence on
     fresh = generate_timeline(constrained, TEXTS, seconds=1, constraints=[late], seed=3, steps=2)
     assert np.array_equal(fresh.joints, first.joints)
-
-
-def test_the_memory_is_bounded(constrained: MotionPipeline) -> None:
-    memory = PartMemory(2)
-    for key in "abc":
-        memory.keep(key, key)  # type: ignore[arg-type]
-        memory.get("a")
-    assert [memory.get(key) for key in "abc"] == ["a", None, "c"]
 
 
 def test_what_does_not_fit_a_timeline_is_refused(toy: MotionPipeline) -> None:

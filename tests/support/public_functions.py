@@ -28,6 +28,8 @@ from kinegraph.feasibility import check_constraints
 from kinegraph.formats import constraints_json, read
 from kinegraph.formats.npz import read_npz
 from kinegraph.graph import Action, Argument
+from kinegraph.layers import Layer
+from kinegraph.timeline import generate_timeline
 
 FEW: dict[str, Any] = {"seconds": 1, "seed": 1, "steps": 1}
 CLIP = Clip(np.zeros((9, 22, 3), dtype=np.float32), 20.0, 1, "a person stands", "toy 1")
@@ -128,6 +130,12 @@ PUBLIC: dict[str, Callable[[MotionPipeline, Any], object]] = {
     "batch, item": lambda pipe, junk: pipe.batch([junk], **FEW),
     "batch, seconds": lambda pipe, junk: pipe.batch([GRAPH], **{**FEW, "seconds": junk}),
     "sequence": lambda pipe, junk: pipe.sequence(junk, **FEW),
+    "sequence, memory": lambda pipe, junk: pipe.sequence([GRAPH, GRAPH], memory=junk, **FEW),
+    "timeline, layers": lambda pipe, junk: generate_timeline(pipe, [GRAPH], layers=junk, **FEW),
+    "timeline, layer": lambda pipe, junk: generate_timeline(pipe, [GRAPH], layers=[junk], **FEW),
+    "layer": lambda pipe, junk: Layer(junk, 0, 1),
+    "layer, begin": lambda pipe, junk: Layer(GRAPH, junk, 1),
+    "layer, weight": lambda pipe, junk: Layer(GRAPH, 0, 1, junk),
     "compose": lambda pipe, junk: pipe.compose(junk, **FEW),
     "compose, item": lambda pipe, junk: pipe.compose([junk], **FEW),
     **{
