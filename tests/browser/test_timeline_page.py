@@ -44,6 +44,8 @@ def test_three_sentences_follow_one_another(open_page: Open, server: PlaygroundC
     assert cli.main(["sequence", *texts, "--seconds", "2,2,2", *SEED, "-o", str(tmp_path / "x.npz")]) == 0
     name = "a_person_walks_then_a_person_bows_then_a_person_waves_both_3.npz"
     assert download(page, ".npz", name) == (tmp_path / "x.npz").read_bytes()
+    assert page.locator(".facts").inner_text().endswith("made anew: sentence 3 of 3")  # the others were known
+    assert page.locator(".segment.fresh").count() == 1
     # another is selected, and its words go into the form; nothing is made for that
     page.get_by_label(re.compile("^Segment 2 of 3")).click()
     assert page.get_by_label("What should the person do?").input_value() == "a person bows"

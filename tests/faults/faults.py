@@ -354,6 +354,38 @@ FAULTS: tuple[Fault, ...] = (
         "if False:",
         "runtime/test_timeline.py -k does_not_fit",
     ),
+    Fault(
+        8,
+        "parts of sequences are kept without end",
+        "part_memory.py",
+        "while len(self._clips) > self._most or self.bytes > self._most_bytes:",
+        "while len(self._clips) > self._most:",
+        "runtime/test_part_memory.py -k bounded",
+    ),
+    Fault(
+        6,
+        "a remembered part is that of other options",
+        "pipeline.py",
+        "key = (self, sized.graph, sized.plan, repr(sized.options), seed)",
+        "key = (self, sized.graph, sized.plan, seed)",
+        "runtime/test_part_memory.py -k only_what_changed",
+    ),
+    Fault(
+        9,
+        "a span that is no whole sentence is not told",
+        "layers.py",
+        "if abs(begin - layer.begin) > EXACT or abs(end - layer.end) > EXACT:",
+        "if False:",
+        "runtime/test_layers.py -k partly_is_told",
+    ),
+    Fault(
+        4,
+        "any long clip is bent for a draft",
+        "playground/drafts.py",
+        "if request.seed is not None and clip.frames <= MAX_FRAMES:",
+        "if request.seed is not None:",
+        "runtime/test_drafts.py -k few_and_short",
+    ),
     # 5. Parity and 6. determinism
     Fault(
         5,

@@ -24,6 +24,8 @@ import kinegraph
 from kinegraph import MotionPipeline, cli
 from kinegraph.errors import Cancelled
 from kinegraph.formats import encode
+from kinegraph.layers import Layer
+from kinegraph.timeline import generate_timeline
 from support.characters import BUILDS, make_character
 from support.cli_runs import fails
 from support.playground import REQUEST, TEXT, PlaygroundClient, running_playground
@@ -130,6 +132,51 @@ def test_a_sequence_and_its_shape_are_those_of_the_pipeline(server: PlaygroundCl
     assert response.body == encode(clip.resampled(30), ".bvh", root=True)
     assert server.clip(wish)[-1]["clip"]["frames"] == clip.frames
     assert server.clip({**wish, "seconds": "2,1.5"})[-1]["clip"]["frames"] == clip.frames  # as typed
+
+
+def test_a_changed_sequence_tells_which_sentences_were_made(server: PlaygroundClient) -> None:
+    wish = {
+        "texts": ["a person walks", "a person bows", "a person waves"],
+        "seconds": [1, 1, 1],
+        "seed": 71,
+        "steps": 2,
+    }
+    assert server.clip(wish)[-1]["made"] == [0, 1, 2]
+    changed = server.clip({**wish, "texts": ["a person walks", "a person turns", "a person waves"]})[-1]
+    assert changed["made"] == [1]
+    assert server.clip(wish)[-1]["made"] == []
+    assert "made" not in server.clip(REQUEST)[-1]
+
+
+def test_layers_are_those_of_a_timeline(server: PlaygroundClient, pipe: MotionPipeline) -> None:
+    layer = {"text": "a person waves the right hand", "begin": 0, "end": 1, "weight": 0.5}
+    wish = {"texts": ["a person walks"], "seconds": [2], "seed": 7, "steps": 2, "layers": [layer]}
+    response = server.post("/api/file", {"wish": wish, "suffix": ".npz"})
+    clip = generate_timeline(pipe, ["a person walks"], seconds=2, seed=7, steps=2, layers=[Layer(**layer)])
+    assert response.status == 200 and response.body == encode(clip, ".npz")
+    assert any("counts from 0 to 2 s" in note for note in server.clip(wish)[-1]["clip"]["notes"])
+    for layers, reason in (
+        ([{**layer, "end": 0}], "ends after that"),
+        ([layer["text"]], "a list of"),
+        ([{**layer, "x": 1}], "unknown"),
+    ):
+        refused = server.post("/api/clip", {**wish, "layers": layers})
+        assert refused.status == 400 and reason in refused.json["error"], refused
+    refused = server.post("/api/clip", {**REQUEST, "layers": [layer]})
+    assert refused.status == 400 and "layers are for a sequence" in refused.json["error"]
+
+
+def test_a_draft_is_the_last_clip_of_these_words_bent(server: PlaygroundClient, pipe: MotionPipeline) -> None:
+    if not pipe.sampler.sessions.decoder_gradients:
+        pytest.skip("the default bundle has no gradients")
+    wish = {**REQUEST, "seed": 72, "constraints": [{"type": "waypoint", "seconds": 1.5, "position": [0.3, 0.8]}]}
+    assert [event["event"] for event in server.clip({**wish, "draft": True})] == ["queued"]  # nothing to bend yet
+    server.clip({**REQUEST, "seed": 72})
+    _, draft = server.clip({**wish, "draft": True})
+    assert draft["event"] == "draft" and draft["clip"]["level"] == "draft"
+    assert draft["clip"]["misses"][0]["metres"] < 0.03
+    refused = server.post("/api/file", {"wish": {**wish, "draft": True}, "suffix": ".glb"})
+    assert refused.status == 400 and "draft" in refused.json["error"]  # a file is of a clip
 
 
 def character_body(name: str, data: bytes, **changes: Any) -> bytes:

@@ -23,6 +23,9 @@ function pythonOptions(wish, names) {
   return wish.foot_fix === false ? [...options, "foot_fix=False"] : options;
 }
 
+/** Sentences of which each begins in the last pose of the one before. */
+const isTimeline = ({ texts, constraints, layers }) => Boolean(texts && (constraints || layers));
+
 const called = (name, parts) => {
   const line = `${name}(${parts.join(", ")})`;
   return line.length <= 100 ? line : `${name}(\n    ${parts.join(",\n    ")},\n)`;
@@ -53,17 +56,20 @@ export function python(wish, output, file, character = null) {
     made = called("pipe.compose", [`[${concepts.join(", ")}]`, ...mixing, ...options]);
   } else if (wish.texts) {
     const texts = `[${wish.texts.map(said).join(", ")}]`;
-    made = wish.constraints ? called("generate_timeline", ["pipe", texts, ...options]) : called("pipe.sequence", [texts, ...options]);
+    if (wish.layers) options.push("layers=layers");
+    made = isTimeline(wish) ? called("generate_timeline", ["pipe", texts, ...options]) : called("pipe.sequence", [texts, ...options]);
   }
   else made = called("pipe.generate", [said(wish.graph ?? wish.text), ...options]);
   const named = ["MotionPipeline", ...(wish.concepts ? ["Concept"] : [])].sort();
   const lines = [`from kinegraph import ${named.join(", ")}`];
   if (graphs.length) lines.push("from kinegraph.graph import SemanticGraph");
   if (wish.constraints) lines.push("from kinegraph.formats import constraints_json");
-  if (wish.constraints && wish.texts) lines.push("from kinegraph.timeline import generate_timeline");
+  if (wish.layers) lines.push("from kinegraph.layers import Layer");
+  if (isTimeline(wish)) lines.push("from kinegraph.timeline import generate_timeline");
   lines.push("", "pipe = MotionPipeline.load()");
   lines.push(...graphs.map((graph, at) => `${at ? `graph_${at + 1}` : "graph"} = ${graph}`));
   if (wish.constraints) lines.push(`constraints = constraints_json.decode([\n${wish.constraints.map((one) => `    ${literal(one)},\n`).join("")}])`);
+  if (wish.layers) lines.push(`layers = [\n${wish.layers.map(({ text, begin, end, weight }) => `    Layer(${literal(text)}, ${begin}, ${end}, ${weight}),\n`).join("")}]`);
   lines.push(`clip = ${made}`);
   const loop = wish.foot_fix === false ? ".looped(foot_fix=False)" : ".looped()";
   const shape = [wish.loop && loop, wish.in_place && ".in_place()"].filter(Boolean).join("");
@@ -101,7 +107,7 @@ export function command(wish, output, file, character = null) {
     for (const name of ["text", "lambdas", "agd"]) if (wish[name]) words.push(`--${name}`, String(wish[name]));
   } else if (wish.texts) {
     if (wish.texts.some((text) => typeof text !== "string")) return "# a sequence with edited graphs: use Python\n";
-    if (wish.constraints) return "# a timeline with constraints: use Python\n";
+    if (isTimeline(wish)) return "# a timeline with constraints or concepts: use Python\n";
     words.push("sequence", ...wish.texts);
   } else if (wish.graph) {
     words.push("generate", "--graph", "-");

@@ -1,5 +1,5 @@
 // Constraints of the project: pins on the timeline and balls in the room are two views of the same; what adds one.
-import { drawnPath, MOST, place, POSE_FRAMES } from "./constraints.js";
+import { drawnPath, hasFree, middle, MOST, place, POSE_FRAMES } from "./constraints.js";
 import { element } from "./elements.js";
 import { createFloor } from "./floor.js";
 import { createPins } from "./pins.js";
@@ -11,21 +11,23 @@ const STEPS = 9; // points that are looked at of the way that is gone now
  * @param box the timeline
  * @param facts of the bundle: {constrained, joints}
  * @param on {project(), clip(), body() -> actor of our own body, time() in the clip, now() and whole() of the timeline,
- *   change(constraints, done), colour(name), say(words)}
+ *   seek(seconds) and stop there, selected() one of them, change(constraints, done), colour(name), say(words)}
  */
 export function createConstraining(box, view, stage, facts, on) {
   const pins = createPins(box, { select, change: (constraints) => on.change(constraints, true) });
-  const room = createFloor(view, stage, { change: dragged, drawn, colour: on.colour });
+  const room = createFloor(view, stage, { change: dragged, drawn, colour: on.colour, held: () => on.seek(on.time()) });
   const kinds = box.querySelector(".pin-kinds");
   const menu = box.querySelector(".pin-menu");
   const [path, waypoint] = [".add-path", ".add-waypoint"].map((name) => box.querySelector(name));
   const all = () => on.project().constraints;
   let selected = -1;
+  let seen = 0; // time that was seen before a path is drawn
   box.querySelector(".constrain").hidden = !facts.constrained;
 
   function select(at) {
     selected = pins.select(at);
     room.show(all(), selected);
+    if (selected >= 0) on.selected();
   }
 
   function add(constraint) {
@@ -41,6 +43,7 @@ export function createConstraining(box, view, stage, facts, on) {
   /** A path that was drawn; without one, a second press of the button takes the way that is gone now. */
   function drawn(line) {
     on.say("");
+    on.seek(seen);
     if (line) add(line);
   }
 
@@ -48,6 +51,16 @@ export function createConstraining(box, view, stage, facts, on) {
     const { path: way } = await on.body();
     const points = Array.from({ length: STEPS }, (_, k) => way[Math.round((k * (way.length - 1)) / (STEPS - 1))]);
     drawn(drawnPath(points.map(({ x, z }) => [x, z])));
+  }
+
+  /** Pins with free axes stand where their joints are in the clip that is seen. */
+  async function freePlaces() {
+    const shown = all();
+    const body = await on.body();
+    const at = on.time();
+    const found = shown.map((one) => (hasFree(one) ? body.joints([one.joint], middle(one, on.whole()))[0] : null));
+    body.pose(at);
+    if (shown === all()) room.show(shown, selected, found.map((place) => place ?? undefined));
   }
 
   async function joints(names, time) {
@@ -86,6 +99,8 @@ export function createConstraining(box, view, stage, facts, on) {
       room.pencil(false);
       return wayNow();
     }
+    seen = on.time();
+    on.seek(0); // a clip begins at the origin, and so does its path
     room.pencil(true);
     return on.say("Draw the way on the floor; press Path again for the way it goes now");
   }
@@ -115,13 +130,16 @@ export function createConstraining(box, view, stage, facts, on) {
     show(misses) {
       pins.show(all(), on.whole(), misses);
       room.show(all(), selected < all().length ? selected : (selected = -1));
+      if (all().some(hasFree)) freePlaces();
     },
+    deselect: () => selected >= 0 && select(-1),
     path: () => facts.constrained && pencil(),
     waypoint: () => facts.constrained && addWaypoint(),
     /** Give up drawing; false if nothing was being drawn. */
     cancel() {
       if (!room.drawing) return false;
       room.pencil(false);
+      on.seek(seen);
       on.say("");
       return true;
     },

@@ -12,7 +12,7 @@ export const place = (point) => point.map((value) => (value === null ? null : mi
 
 /** What a pin is called. */
 export function nameOf({ type, joint }) {
-  return { path: "path", waypoint: "waypoint", joint: joint?.replace("_", " "), keyframe: "pose", start: "first pose", end: "last pose", loop: "loop" }[type];
+  return { path: "path", waypoint: "waypoint", joint: joint?.replace("wrist", "hand").replace("_", " "), keyframe: "pose", start: "first pose", end: "last pose", loop: "loop" }[type];
 }
 
 /** Begin and end on a timeline of so many seconds. */
@@ -48,11 +48,29 @@ export function translated(constraint, [x, y, z]) {
   return { ...constraint, position: place([a === null ? a : a + x, b === null ? b : Math.max(b + y, 0), c === null ? c : c + z]) };
 }
 
-/** Points of a constraint that can be taken hold of: [x, y, z] each. */
-export function handles({ type, points, position }) {
+/**
+ * Points of a constraint that can be taken hold of: [x, y, z] each.
+ * @param seen where the joint of a clip is at that time: there a pin stands along axes that are free
+ */
+export function handles({ type, points, position }, seen = [0, 0, 0]) {
   if (type === "path") return points.map(([x, z]) => [x, 0, z]);
   if (type === "waypoint") return [[position[0], 0, position[1]]];
-  return type === "joint" ? [position.map((value) => value ?? 0)] : [];
+  return type === "joint" ? [position.map((value, axis) => value ?? seen[axis])] : [];
+}
+
+/** Whether a pin leaves an axis free. */
+export const hasFree = ({ type, position }) => type === "joint" && position.includes(null);
+
+/** The pin with an axis left free; the last one stays. */
+export function freed(constraint, axis) {
+  const position = constraint.position.with(axis, null);
+  return position.every((value) => value === null) ? constraint : { ...constraint, position };
+}
+
+/** Seconds in the middle of a constraint. */
+export function middle(constraint, whole) {
+  const [begin, end] = span(constraint, whole);
+  return (begin + end) / 2;
 }
 
 /** The constraint with one of its handles elsewhere. */

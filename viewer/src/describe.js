@@ -9,6 +9,14 @@ export function facts(clip) {
   return `${seconds} s, ${clip.frames} frames at ${clip.fps} per second, seed ${clip.seed}, ${clip.bundle}`;
 }
 
+/** Which of so many sentences were made anew (from 0), and which are as they were; "" where there is nothing to tell. */
+export function madeOf(made, count) {
+  if (!made || count < 2) return "";
+  if (!made.length) return "nothing had to be made anew";
+  if (made.length === count) return "all sentences made anew";
+  return `made anew: sentence ${made.map((at) => at + 1).join(", ")} of ${count}`;
+}
+
 /** A name for the files of a clip, of its words and seed: "a_person_walks_forward_7". */
 export function fileName(clip) {
   const words = clip.text.toLowerCase().match(/[\p{L}\p{N}]+/gu) ?? ["clip"];

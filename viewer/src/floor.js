@@ -7,15 +7,18 @@ const SIZE = { path: 0.055, waypoint: 0.085, joint: 0.06 }; // metres
 const LIFT = 0.012; // above the floor
 const APART = 0.06; // metres between two points while one draws
 const FAR = 12; // metres from the origin to which one may draw
+const GRASP = 14; // pixels from a ball at which the mouse takes hold of it
+const FINGER = 26;
 
 /**
- * @param stage with overlay(group), ray(event), camera(), and orbit
- * @param on {change(at, constraint, done), drawn(path), colour(name) -> Color}
+ * @param stage with overlay(group), ray(event), screen(point), camera(), and orbit
+ * @param on {change(at, constraint, done), drawn(path), held() when something is taken hold of, colour(name) -> Color}
  */
 export function createFloor(view, stage, on) {
   const group = new Group();
   const floor = new Plane(new Vector3(0, 1, 0), 0);
   let constraints = [];
+  let places = []; // where the joints of pins with free axes are in the clip that is seen
   let selected = -1;
   let pencil = null; // points while a path is being drawn
   stage.overlay(group);
@@ -37,7 +40,7 @@ export function createFloor(view, stage, on) {
     clear();
     constraints.forEach((constraint, at) => {
       const colour = on.colour(at === selected ? "--accent" : "--pin");
-      const points = handles(constraint);
+      const points = handles(constraint, places[at]);
       if (constraint.type === "path") line(points.map(([x, , z]) => [x, LIFT, z]), colour);
       points.forEach((point, handle) => {
         const ball = new Mesh(BALL, new MeshBasicMaterial({ color: colour, depthTest: false, transparent: true }));
@@ -68,10 +71,22 @@ export function createFloor(view, stage, on) {
     draw();
   }
 
+  /** The ball that is nearest to a pointer, or null: a disc on the floor is seen from the side, so near is enough. */
+  function grasped({ clientX, clientY, pointerType }) {
+    let [nearest, best] = [null, pointerType === "touch" ? FINGER : GRASP];
+    for (const ball of group.children.filter((part) => part.isMesh)) {
+      const seen = stage.screen(ball.position);
+      const far = seen ? Math.hypot(seen.clientX - clientX, seen.clientY - clientY) : Infinity;
+      if (far < best) [nearest, best] = [ball, far];
+    }
+    return nearest;
+  }
+
   /** Follow the pointer until it is let go; the camera holds still meanwhile. */
   function follow(event, during, ended) {
     event.preventDefault();
     event.stopPropagation();
+    on.held();
     stage.orbit.enabled = false;
     view.setPointerCapture(event.pointerId);
     const onend = (now) => {
@@ -88,8 +103,11 @@ export function createFloor(view, stage, on) {
     // a joint moves in a plane that faces the camera, all else on the floor
     const isJoint = constraints[at].type === "joint";
     const plane = isJoint ? new Plane().setFromNormalAndCoplanarPoint(stage.camera().getWorldDirection(new Vector3()), from) : floor;
+    const under = (now) => stage.ray(now).ray.intersectPlane(plane, new Vector3());
+    const beside = under(event)?.sub(from) ?? new Vector3(); // it may be held beside its middle
+    if (!isJoint) beside.y = 0;
     const moved = (now) => {
-      const point = stage.ray(now).ray.intersectPlane(plane, new Vector3());
+      const point = under(now)?.sub(beside);
       return point && point.length() < FAR ? withHandle(constraints[at], handle, point.toArray()) : null;
     };
     let last = null;
@@ -122,15 +140,20 @@ export function createFloor(view, stage, on) {
         });
         return;
       }
-      const hit = stage.ray(event).intersectObjects(group.children.filter((part) => part.isMesh))[0];
-      if (hit) drag(event, hit.object.userData, hit.object.position.clone());
+      const ball = grasped(event);
+      if (ball) drag(event, ball.userData, ball.position.clone());
     },
     true, // before the camera takes it
   );
 
+  view.addEventListener("pointermove", (event) => {
+    if (!event.buttons) view.classList.toggle("grab", !pencil && grasped(event) !== null);
+  });
+
   return {
-    show(shown, which) {
-      [constraints, selected] = [shown, which];
+    /** seen: for each pin with a free axis, where its joint is in the clip, [x, y, z]. */
+    show(shown, which, seen = places) {
+      [constraints, selected, places] = [shown, which, seen];
       draw();
     },
     /** Let the next press draw a path; once more, or Escape, and it does not. */

@@ -51,7 +51,7 @@ export function createForm(side, play, on) {
       const sampling = Object.fromEntries(SAMPLING.map((name) => [name, field[name].value.trim()]).filter(([, value]) => value));
       if (!field.foot_fix.checked) sampling.foot_fix = false;
       // parts of a sequence have a length each
-      const timed = seconds ? { seconds } : project.segments.length > 1 && { seconds: project.segments[selected].seconds };
+      const timed = seconds ? { seconds } : (project.segments.length > 1 || project.layers.length > 0) && { seconds: project.segments[selected].seconds };
       if (composing()) {
         return { ...project, sampling, concepts: { concepts: concepts.get(), method: field.method.value, ...mixing.get(), ...timed } };
       }

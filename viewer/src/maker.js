@@ -3,6 +3,7 @@ import * as api from "./api.js";
 import { named } from "./describe.js";
 
 const LEVELS = { motion: "whole motion", action: "actions", specific: "details", constraints: "way there" };
+const DRAFT = "Draft, until the motion is made";
 
 /**
  * @param on {show(clip, restart, extra) -> actor or null, isFront(actor), back(), busy(is), fail(error),
@@ -12,7 +13,6 @@ export function createMaker(on) {
   const bar = document.querySelector(".bar");
   const [status, count] = document.querySelectorAll(".status span");
   let run = null; // AbortController of the clip in the making
-  let sketched = false; // whether a sketch of it has been seen
 
   /** `detail` changes too often to be read out. */
   function say(text, part = null, detail = "") {
@@ -32,7 +32,6 @@ export function createMaker(on) {
       begun = true;
       // a hidden tab draws nothing, and would wait for ever
       if (!document.hidden) await new Promise(requestAnimationFrame);
-      sketched = true;
       if (on.isFront(actor)) seen[what] ??= performance.now() - pressed; // else it was overtaken before it was drawn
       return actor;
     };
@@ -60,30 +59,39 @@ export function createMaker(on) {
     throw new Error("The server ended before the clip was done.");
   }
 
+  /** Show a draft of a wish, if the server has one. What is wrong with the wish, the clip itself will say. */
+  async function showDraft(wish, own, drawn) {
+    try {
+      for await (const event of api.clip({ ...wish, draft: true }, own.signal)) {
+        if (event.event === "draft" && !own.signal.aborted) await drawn({ ...event.clip, label: DRAFT }, "draft");
+      }
+    } catch (error) {
+      if (error.name === "AbortError") throw error;
+    }
+  }
+
   return {
     get running() {
       return run !== null;
-    },
-    get sketched() {
-      return sketched;
     },
     cancel: () => run?.abort(),
     say,
     /**
      * Make the clip of a wish; one that is under way gives way. One that only `changes` the last plays on from where
-     * that is. `finish(clip, signal)` gets what else is to be had before it is shown. Resolves to {event, actor, seen}, or to null where it was cancelled or failed, which is told.
+     * that is. `draft` shows one first. `finish(clip, signal)` gets what else is to be had before it is shown. Resolves to {event, actor, seen}, or to null where it was cancelled or failed, which is told.
      */
-    async make(wish, { changes = false, sketches = true, finish = async () => null } = {}) {
+    async make(wish, { changes = false, sketches = true, draft = false, finish = async () => null } = {}) {
       run?.abort();
       const own = (run = new AbortController());
-      const seen = { sketch: null, clip: null };
+      const seen = { draft: null, sketch: null, clip: null };
       let made = null;
-      sketched = false;
       on.fail(null);
       on.busy(true);
       say("Asking", 0);
       try {
-        made = await follow(wish, own, createDrawing(changes, seen), { sketches, finish });
+        const drawn = createDrawing(changes, seen);
+        if (draft) await showDraft(wish, own, drawn);
+        made = await follow(wish, own, drawn, { sketches: sketches && seen.draft === null, finish });
       } catch (error) {
         if (error.name !== "AbortError") on.fail(error);
       } finally {
@@ -97,6 +105,18 @@ export function createMaker(on) {
         }
       }
       return made && { ...made, seen };
+    },
+    /** Show a draft of a wish alone; a clip that is under way gives way. */
+    async draft(wish) {
+      run?.abort();
+      const own = (run = new AbortController());
+      try {
+        await showDraft(wish, own, createDrawing(true, { draft: null }));
+      } catch {
+        // another has begun meanwhile
+      } finally {
+        if (run === own) run = null;
+      }
     },
     /** The last event of a clip that is made without being shown. */
     async quietly(wish) {

@@ -1,5 +1,5 @@
 // The tracks of the timeline: a pin for each constraint, to select, drag in time and delete; its numbers; what adds one.
-import { fitted, isTimed, nameOf, pointsOf, shifted, span, textOf, translated } from "./constraints.js";
+import { fitted, freed, isTimed, nameOf, pointsOf, shifted, span, textOf, translated } from "./constraints.js";
 import { element } from "./elements.js";
 
 const NUDGE = 0.1; // seconds and metres per key
@@ -11,7 +11,7 @@ const MOVES = { ArrowUp: [0, 0, NUDGE], ArrowDown: [0, 0, -NUDGE], ArrowLeft: [N
  * @param on {select(at), change(constraints)}: all constraints as they are to be
  */
 export function createPins(box, on) {
-  const [tracks, inspector] = [".tracks", ".inspector"].map((name) => box.querySelector(name));
+  const [tracks, inspector] = [".tracks", ".pin-numbers"].map((name) => box.querySelector(name));
   let constraints = [];
   let misses = [];
   let whole = 1;
@@ -83,10 +83,13 @@ export function createPins(box, on) {
     inspector.hidden = !constraint;
     if (!constraint) return inspector.replaceChildren();
     const at = selected;
-    const number = (name, value, step, write) =>
+    const number = (name, value, step, write, empty = null) =>
       element("label", {}, name, element("input", {
-        type: "number", step, value, "aria-label": `${name} of the ${nameOf(constraint)}`,
-        onchange: ({ target }) => Number.isFinite(target.valueAsNumber) && set(at, write(target.valueAsNumber, constraints[at])),
+        type: "number", step, value, "aria-label": `${name} of the ${nameOf(constraint)}`, placeholder: empty && "free",
+        onchange: ({ target }) => {
+          if (Number.isFinite(target.valueAsNumber)) set(at, write(target.valueAsNumber, constraints[at]));
+          else if (empty) set(at, empty(constraints[at]));
+        },
       }));
     const fields = [];
     if (isTimed(constraint) && !Array.isArray(constraint.seconds) && constraint.type !== "path") {
@@ -94,7 +97,7 @@ export function createPins(box, on) {
     }
     if (constraint.position) {
       const axes = constraint.position.length === 2 ? ["x", "z"] : ["x", "y", "z"];
-      fields.push(...axes.map((axis, k) => number(axis, constraint.position[k] ?? "", NUDGE, (value, now) => ({ ...now, position: now.position.with(k, value) }))));
+      fields.push(...axes.map((axis, k) => number(axis, constraint.position[k] ?? "", NUDGE, (value, now) => ({ ...now, position: now.position.with(k, value) }), constraint.type === "joint" && ((now) => freed(now, k)))));
     }
     if (constraint.points) {
       fields.push(element("label", { class: "wide" }, "Points x,z", element("input", {

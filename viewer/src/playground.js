@@ -7,11 +7,14 @@ import * as api from "./api.js";
 import { createCharacters } from "./characters.js";
 import { createConstraining } from "./constraining.js";
 import { fitted } from "./constraints.js";
-import { named } from "./describe.js";
+import { madeOf, named } from "./describe.js";
+import { createDragging } from "./dragging.js";
 import { createForm } from "./form.js";
 import { createHistory } from "./history.js";
 import { createKeep } from "./keep.js";
 import { createKeys } from "./keys.js";
+import { createLayers } from "./layers.js";
+import { fittedLayers, MOST_LAYERS } from "./layering.js";
 import { linked, linkOf } from "./link.js";
 import { createMaker } from "./maker.js";
 import { createOutput } from "./output.js";
@@ -27,6 +30,8 @@ const MOST_CLIPS = 40; // kept to be shown again: 100 kB each
 const NEXT = "a person stands still";
 const NEXT_SECONDS = 2;
 const STRIP_TIME = 0.6; // of a clip: when it is drawn for the strip
+const PICTURE_WAIT = 600; // milliseconds at most until it is drawn
+const STEP_PAUSE = 150; // milliseconds: who undoes step after step waits for no clip between
 
 const count = (name) => {
   const { dataset } = document.documentElement;
@@ -46,9 +51,9 @@ export async function openPlayground(side, play, stage, transport, clock) {
   let shown = null; // its actor
   let front = null; // what is seen now: that, or a sketch
   let time = 0; // of the clip that is seen, seconds
-  let dragging = null; // who makes clips of what is being dragged
-  let wanted = null; // the newest place of what is being dragged
   let shows = 0; // how often something was to be shown
+  let asked = 0; // how often a clip or a step was asked for
+  let dressing = null; // AbortController of a character for a step
 
   const fail = (error) => {
     at(".error").hidden = !error;
@@ -77,13 +82,26 @@ export async function openPlayground(side, play, stage, transport, clock) {
     time: () => time,
     now: () => timeline.now,
     whole: () => timeline.whole,
+    seek: transport.seek,
+    selected: () => layers.deselect(),
     change: constrain,
     colour: stage.colour,
     say: (text) => maker.say(text),
   });
+  const layers = createLayers(at(".timeline"), {
+    selected: constraining.deselect,
+    now: () => timeline.now,
+    change: (changed) => change({ ...timeline.timed(), layers: changed.slice(0, MOST_LAYERS) }, selected),
+  });
   const projectFiles = createProjectFiles(at(".tools .menu"), history, { opened: () => go(history.now), fresh, fail });
   const maker = createMaker({ show, isFront: (actor) => front === actor, back, busy, fail, graph: form.graph.parsed });
   const read = () => form.read(project, selected);
+  const dragging = createDragging({
+    draft: (next) => (characters.current ? null : maker.draft(wishOf(next, sameSeed(next)))),
+    make: (next) => make(next, { changes: true, own: sameSeed(next), step: false, isTaken: false }),
+  });
+  /** Seed of what only changes the clip that is seen. */
+  const sameSeed = (next) => next.sampling.seed ?? seed ?? undefined;
 
   // -- what is seen -------------------------------------------------------------------------------------------------
 
@@ -97,6 +115,7 @@ export async function openPlayground(side, play, stage, transport, clock) {
     }
     stage.show([...kept, actor]);
     front = actor;
+    if (clip.level === "draft") count("drafts");
     if (restart) transport.restart();
     else transport.refresh();
     return actor;
@@ -130,14 +149,15 @@ export async function openPlayground(side, play, stage, transport, clock) {
     characters.current ? api.character(wishOf(project, clip.seed), characters.current, {}, signal) : null;
 
   /** What stands around a clip that is seen now. */
-  function settle(event, actor, seen = null) {
+  function settle(event, actor, { seen = null, isTaken = true } = {}) {
     [newest, shown, seed] = [event.clip, actor, event.clip.seed];
-    result.show(event.clip, event.stages, seen);
+    const anew = (seen && event.made) || null; // sentences that were made now
+    result.show(event.clip, event.stages, seen, madeOf(anew, project.segments.length));
     at(".export").hidden = false;
     output.show(event.clip, wishOf(project, seed), characters.current?.name ?? null);
-    timeline.show(project, selected, event.clip.frames / event.clip.fps);
+    drawTimeline(project, anew);
     constraining.show(event.clip.misses ?? []);
-    takes.add(kindOf(project), seed, event);
+    if (isTaken) takes.add(kindOf(project), seed, event);
     takes.show(kindOf(project), seed);
     takes.lock.checked = "seed" in project.sampling;
     history.amend({ seed });
@@ -152,15 +172,16 @@ export async function openPlayground(side, play, stage, transport, clock) {
   // -- making -------------------------------------------------------------------------------------------------------
 
   /** Make a clip of a project, as a new step. One that only `changes` what is seen plays on from where that is. */
-  async function make(next, { changes = false, own = next.sampling.seed, step = true } = {}) {
+  async function make(next, { changes = false, own = next.sampling.seed, step = true, isTaken = true, draft = false } = {}) {
+    asked += 1;
     project = next;
     selected = Math.min(selected, project.segments.length - 1);
     if (step) history.push({ project });
     const wish = wishOf(project, own);
-    const done = await maker.make(wish, { changes, sketches: !characters.current, finish: dressed });
+    const done = await maker.make(wish, { changes, sketches: !characters.current, draft: draft && !characters.current, finish: dressed });
     if (!done?.actor) return false;
     remember(wishOf(project, done.event.clip.seed), done.event);
-    settle(done.event, done.actor, done.seen);
+    settle(done.event, done.actor, { seen: done.seen, isTaken });
     if (!maker.running) busy(false);
     count("made");
     return true;
@@ -170,12 +191,13 @@ export async function openPlayground(side, play, stage, transport, clock) {
   function again() {
     if (!newest && !maker.running) return;
     const next = read();
-    make(next, { changes: true, own: next.sampling.seed ?? seed ?? undefined });
+    make(next, { changes: true, own: sameSeed(next) });
   }
 
   /** Show a step: from what is kept here, or made anew. */
   async function go(entry, changes = false) {
     if (!entry) return;
+    asked += 1;
     maker.cancel();
     project = entry.project;
     selected = Math.min(selected, project.segments.length - 1);
@@ -183,9 +205,17 @@ export async function openPlayground(side, play, stage, transport, clock) {
     form.fill(project, selected, event && !project.concepts ? event.clip.graph : null);
     output.fill(project);
     fail(null);
+    const own = asked;
+    dressing?.abort();
+    if (changes && (!event || characters.current)) await new Promise((resolve) => setTimeout(resolve, STEP_PAUSE));
+    if (own !== asked) return false;
     if (!event) return make(project, { own: entry.seed ?? project.sampling.seed, changes, step: false });
     const clip = { ...event.clip, label: named(event.clip, wishOf(project, event.clip.seed)) };
-    const actor = await show(clip, !changes, await dressed(event.clip));
+    dressing = new AbortController();
+    const character = await Promise.resolve(dressed(event.clip, dressing.signal)).catch((error) => error);
+    if (own !== asked) return false; // another step was asked for meanwhile
+    if (character instanceof Error) fail(character);
+    const actor = await show(clip, !changes, character instanceof Error ? null : character);
     if (actor) settle(event, actor);
     busy(false);
   }
@@ -198,7 +228,11 @@ export async function openPlayground(side, play, stage, transport, clock) {
 
   // -- timeline -----------------------------------------------------------------------------------------------------
 
-  const drawTimeline = () => timeline.show(project, selected, newest ? newest.frames / newest.fps : 0);
+  const drawTimeline = (of = project, anew = null) => {
+    const seconds = newest ? newest.frames / newest.fps : 0;
+    timeline.show(of, selected, seconds, anew);
+    layers.show(of.layers, of.segments.every(({ seconds }) => seconds) ? edges(of) : [0, seconds]);
+  };
 
   /** Another segment into the form; what stands there is kept, and made when it is asked for. */
   function select(which) {
@@ -211,33 +245,21 @@ export async function openPlayground(side, play, stage, transport, clock) {
   /** A project that was changed on the timeline is made at once, with the same seed. */
   function change(changed, which) {
     const whole = edges(changed).at(-1);
-    const next = { ...changed, constraints: fitted(changed.constraints, whole) };
+    const next = { ...changed, constraints: fitted(changed.constraints, whole), layers: fittedLayers(changed.layers, whole) };
     selected = which;
     form.fill(next, selected);
-    timeline.show(next, selected, newest ? newest.frames / newest.fps : 0);
-    make(next, { changes: true, own: next.sampling.seed ?? seed ?? undefined });
+    drawTimeline(next);
+    make(next, { changes: true, own: sameSeed(next) });
   }
 
-  /** Other constraints, made at once; while one is dragged, always the newest place, and one after another. */
-  async function constrain(constraints, done) {
+  /** Other constraints: while one is dragged, drafts and the clip where it rests; else the clip, a draft before it. */
+  function constrain(constraints, done) {
     const next = { ...read(), constraints };
-    const own = next.sampling.seed ?? seed ?? undefined;
-    wanted = done ? null : next;
-    if (done) {
-      dragging = null;
-      project = next;
-      constraining.show([]);
-      return make(next, { changes: true, own });
-    }
-    if (dragging && !maker.sketched) return false; // who drags sees each place at least as a sketch
-    const drag = (dragging = Symbol("drag"));
-    while (wanted && drag === dragging) {
-      const now = wanted;
-      wanted = null;
-      await make(now, { changes: true, own, step: false });
-    }
-    if (drag === dragging) dragging = null;
-    return true;
+    if (!done) return dragging.to(next);
+    dragging.end();
+    project = next;
+    constraining.show([]);
+    return make(next, { changes: true, own: sameSeed(next), draft: constraints.length > 0 });
   }
 
   function add() {
@@ -273,7 +295,11 @@ export async function openPlayground(side, play, stage, transport, clock) {
     maker.say("");
   }
 
+  /** When nothing else is to be drawn: a picture takes as long as a frame of the clip. */
+  const idle = () => new Promise((resolve) => (window.requestIdleCallback ? requestIdleCallback(resolve, { timeout: PICTURE_WAIT }) : setTimeout(resolve, PICTURE_WAIT)));
+
   async function drawTake({ clip }) {
+    await idle();
     const seen = front === shown && shown?.clip.glb === clip.glb;
     const actor = seen ? shown : await loadActor(clip);
     const url = stage.picture(actor, STRIP_TIME * actor.duration);
@@ -372,7 +398,7 @@ export async function openPlayground(side, play, stage, transport, clock) {
       { key: "n", say: "Another sentence behind this one", act: add },
       { key: "x", say: "Cut the sentence at this time", act: timeline.split },
       ...(play.constrained
-        ? [{ key: "p", say: "Draw a path on the floor", act: constraining.path }, { key: "w", say: "A waypoint at this time", act: constraining.waypoint }]
+        ? [{ key: "p", say: "Draw a path on the floor", act: constraining.path }, { key: "w", say: "A waypoint at this time", act: constraining.waypoint }, { key: "c", say: "A concept over this sentence", act: layers.create }]
         : []),
       { key: "t", say: "More takes", act: takes.more },
       { key: "[", say: "Take before", act: () => takes.step(-1) },

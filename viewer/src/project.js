@@ -5,6 +5,7 @@
 //   sampling     {seed?, steps?, guidance?, foot_fix?}, as typed
 //   shape        {loop?, in_place?}: true where they are wanted
 //   constraints  what the request calls so, times counted from the beginning of the whole
+//   layers       [{text, begin, end, weight}], concepts over spans of the timeline
 //   output       {fps?, root?, names?}: how files are written
 export const MOST_SEGMENTS = 16;
 export const MOST_TEXT = 512;
@@ -13,10 +14,11 @@ const MOST_CONSTRAINTS = 32;
 const SAMPLING = ["seed", "steps", "guidance", "foot_fix"];
 const SHAPE = ["loop", "in_place"];
 const OUTPUT = ["fps", "root", "names"];
+const LAYER = ["text", "begin", "end", "weight"];
 const MIXING = ["concepts", "method", "text", "lambdas", "agd", "seconds"];
 
 export const newProject = (text) => ({
-  segments: [{ text }], concepts: null, sampling: {}, shape: {}, constraints: [], output: {},
+  segments: [{ text }], concepts: null, sampling: {}, shape: {}, constraints: [], layers: [], output: {},
 });
 
 function pick(value, keys) {
@@ -24,13 +26,14 @@ function pick(value, keys) {
 }
 
 /** The request that a project makes; `seed` goes before its own. */
-export function wishOf({ segments, concepts, sampling, shape, constraints }, seed = sampling.seed) {
+export function wishOf({ segments, concepts, sampling, shape, constraints, layers = [] }, seed = sampling.seed) {
   let wish;
   if (concepts) wish = { ...concepts };
-  else if (segments.length === 1) wish = pick(segments[0], ["text", "graph", "seconds"]);
+  else if (segments.length === 1 && !layers.length) wish = pick(segments[0], ["text", "graph", "seconds"]);
   else {
     wish = { texts: segments.map(({ text, graph }) => graph ?? text) };
     if (segments.every(({ seconds }) => seconds)) wish.seconds = segments.map(({ seconds }) => Number(seconds));
+    if (layers.length) wish.layers = layers;
   }
   Object.assign(wish, sampling, shape);
   delete wish.seed;
@@ -48,7 +51,7 @@ export function projectOf(wish, output = {}) {
     const seconds = lengths.length === 1 ? lengths[0] : lengths[at];
     return seconds === undefined ? segment : { ...segment, seconds };
   });
-  const base = { sampling: pick(wish, SAMPLING), shape: pick(wish, SHAPE), constraints: wish.constraints ?? [], output: pick(output, OUTPUT) };
+  const base = { sampling: pick(wish, SAMPLING), shape: pick(wish, SHAPE), constraints: wish.constraints ?? [], layers: wish.layers ?? [], output: pick(output, OUTPUT) };
   if (wish.concepts) return { segments: [{ text: wish.text ?? "" }], concepts: pick(wish, MIXING), ...base };
   return { segments, concepts: null, ...base };
 }
@@ -111,6 +114,7 @@ export function segmentAt(project, time) {
 // -- what comes from elsewhere ---------------------------------------------------------------------------------------
 
 const isObject = (value) => typeof value === "object" && value !== null && !Array.isArray(value);
+const isLayer = (value) => isObject(value) && typeof value.text === "string" && [value.begin, value.end, value.weight].every(Number.isFinite);
 
 /** A project out of JSON of a file or of the browser; an error says what is wrong. Its values the server checks. */
 export function checked(value) {
@@ -123,9 +127,10 @@ export function checked(value) {
     if (!isObject(segment) || typeof segment.text !== "string" || segment.text.length > MOST_TEXT) refuse("a segment has no text");
     if (segment.graph !== undefined && !Array.isArray(segment.graph?.actions)) refuse("a graph has no actions");
   }
-  const { concepts = null, constraints = [] } = value;
+  const { concepts = null, constraints = [], layers = [] } = value;
   if (concepts !== null && !(isObject(concepts) && Array.isArray(concepts.concepts))) refuse("its concepts are no list");
   if (!Array.isArray(constraints) || constraints.length > MOST_CONSTRAINTS) refuse("its constraints are no list");
+  if (!Array.isArray(layers) || layers.length > MOST_CONSTRAINTS || !layers.every(isLayer)) refuse("its layers are no list of concepts");
   for (const key of ["sampling", "shape", "output"]) if (!isObject(value[key] ?? {})) refuse(`${key} is no object`);
   return {
     segments: value.segments.map((segment) => pick(segment, ["text", "graph", "seconds"])),
@@ -133,6 +138,7 @@ export function checked(value) {
     sampling: pick(value.sampling ?? {}, SAMPLING),
     shape: pick(value.shape ?? {}, SHAPE),
     constraints,
+    layers: layers.map((layer) => pick(layer, LAYER)),
     output: pick(value.output ?? {}, OUTPUT),
   };
 }

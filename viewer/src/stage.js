@@ -5,8 +5,8 @@ import {
 } from "three";
 import { OrbitControls } from "three/addons/controls/OrbitControls.js";
 
-const EYE = new Spherical(4.1, 1.36, 0.62); // metres, radians: from the front, a little from above and the left
-const HEIGHT = 0.92; // of what the camera looks at
+const EYE = new Spherical(4.5, 1.36, 0.62); // metres, radians: from the front, a little from above and the left
+const HEIGHT = 1.02; // of what the camera looks at: feet and a raised hand are in the picture
 const TURN = 0.12; // radians per key
 const FLOOR = 40; // metres
 
@@ -33,9 +33,19 @@ function createPane(actor) {
   floor.receiveShadow = true;
   const grid = new LineSegments(SQUARES, new LineBasicMaterial());
   scene.add(new HemisphereLight(0xffffff, 0x8d95a5, 1.5), sun, sun.target, grid, floor);
-  if (actor) scene.add(actor.model, actor.trail.whole, actor.trail.past);
-  const dispose = () => [sun, floor.geometry, floor.material, grid.material].forEach((part) => part.dispose());
-  return { scene, sun, floor, actor, camera: new PerspectiveCamera(34, 1, 0.1, 60), grid, dispose };
+  const pane = {
+    scene, sun, floor, grid, actor: null, camera: new PerspectiveCamera(34, 1, 0.1, 60),
+    dispose: () => [sun, floor.geometry, floor.material, grid.material].forEach((part) => part.dispose()),
+    /** Another actor, or none, in place of this one; what it holds stays. */
+    cast(next) {
+      const parts = (one) => (one ? [one.model, one.trail.whole, one.trail.past] : []);
+      scene.remove(...parts(pane.actor));
+      if (next) scene.add(...parts(next));
+      pane.actor = next;
+      return pane;
+    },
+  };
+  return pane.cast(actor);
 }
 
 /** Columns that leave panes closest to a standing person's shape. */
@@ -58,8 +68,11 @@ export function createStage(view) {
   const caster = new Raycaster();
   let overlay = null; // drawn with the newest clip
   let panes = [createPane(null)];
+  let apart = null; // pane of small pictures
+  const gone = []; // actors that are shown no more
   let time = 0;
   let asked = false;
+  let moved = ""; // once somebody has been seen to move
 
   function draw() {
     asked = false;
@@ -75,6 +88,9 @@ export function createStage(view) {
     labels.style.gridTemplateColumns = `repeat(${across}, 1fr)`;
     canvas.dataset.time = time.toFixed(3);
     canvas.dataset.panes = panes.filter((pane) => pane.actor).length;
+    // not before others are drawn: a material that is alone in its kind takes its program along, which is slow to make
+    for (const actor of gone.splice(0)) actor.dispose();
+    if (time > 0 && !moved) requestAnimationFrame(() => performance.mark((moved = "moved")));
   }
 
   function ask() {
@@ -114,6 +130,14 @@ export function createStage(view) {
     renderer.setViewport(x, y, w, h);
     renderer.setScissor(x, y, w, h);
     renderer.render(pane.scene, pane.camera);
+  }
+
+  /** The part of the window that shows the newest clip. */
+  function newest() {
+    const { left, top, width, height } = canvas.getBoundingClientRect();
+    const across = columns(panes.length, width, height);
+    const [w, h, last] = [width / across, height / Math.ceil(panes.length / across), panes.length - 1];
+    return { left: left + (last % across) * w, top: top + Math.floor(last / across) * h, width: w, height: h };
   }
 
   function resize() {
@@ -158,17 +182,19 @@ export function createStage(view) {
     camera: () => panes.at(-1).camera,
     /** What lies under the pointer in the pane of the newest clip, as a Raycaster. */
     ray({ clientX, clientY }) {
-      const { left, top, width, height } = canvas.getBoundingClientRect();
-      const across = columns(panes.length, width, height);
-      const [w, h, last] = [width / across, height / Math.ceil(panes.length / across), panes.length - 1];
-      const x = (clientX - left - (last % across) * w) / w;
-      const y = (clientY - top - Math.floor(last / across) * h) / h;
-      caster.setFromCamera(new Vector2(2 * x - 1, 1 - 2 * y), panes[last].camera);
+      const { left, top, width, height } = newest();
+      caster.setFromCamera(new Vector2((2 * (clientX - left)) / width - 1, 1 - (2 * (clientY - top)) / height), panes.at(-1).camera);
       return caster;
+    },
+    /** Where a point of the newest clip's pane is seen, as a pointer's {clientX, clientY}; null behind the camera. */
+    screen(point) {
+      const { left, top, width, height } = newest();
+      const { x, y, z } = point.clone().project(panes.at(-1).camera);
+      return z < 1 ? { clientX: left + ((x + 1) * width) / 2, clientY: top + ((1 - y) * height) / 2 } : null;
     },
     /** A small picture of an actor at a time, as a data URL; what is seen comes back before anybody looks. */
     picture(actor, seconds) {
-      const pane = createPane(actor);
+      const pane = (apart ??= createPane(null)).cast(actor);
       paint([pane]);
       actor.pose(seconds);
       const [w, h] = [Math.min(96, view.clientWidth), Math.min(72, view.clientHeight)];
@@ -177,18 +203,18 @@ export function createStage(view) {
       const ratio = renderer.getPixelRatio();
       const small = Object.assign(document.createElement("canvas"), { width: w * ratio, height: h * ratio });
       small.getContext("2d").drawImage(canvas, 0, h * ratio - canvas.height);
-      pane.dispose();
-      panes.find((other) => other.actor === actor)?.scene.add(actor.model, actor.trail.whole, actor.trail.past);
+      pane.cast(null);
+      panes.find((other) => other.actor === actor)?.cast(actor);
       draw();
       return small.toDataURL();
     },
     /** Show these clips, side by side; others go, and free what they hold. */
     show(actors) {
-      for (const pane of panes) {
-        pane.dispose();
-        if (pane.actor && !actors.includes(pane.actor)) pane.actor.dispose();
-      }
-      panes = (actors.length ? actors : [null]).map(createPane);
+      const before = panes;
+      gone.push(...before.map(({ actor }) => actor).filter((actor) => actor && !actors.includes(actor)));
+      for (const pane of before) pane.cast(null);
+      panes = (actors.length ? actors : [null]).map((actor, at) => (before[at] ?? createPane(null)).cast(actor));
+      for (const pane of before.slice(panes.length)) pane.dispose();
       if (overlay) panes.at(-1).scene.add(overlay);
       labels.replaceChildren(
         ...actors.map(({ clip }) => {

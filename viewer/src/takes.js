@@ -3,6 +3,7 @@ import { element } from "./elements.js";
 
 const MOST = 40; // takes of all words together
 const MORE = 3;
+const SHOWN = 6; // digits of a seed: its last ones tell takes apart
 
 /**
  * @param on {pick(seed), more(seeds)}; more resolves when they are made
@@ -47,7 +48,7 @@ export function createTakes(box, on, picture) {
       if (takes.some((take) => take.kind === ofKind && take.seed === seed)) return;
       const image = element("img", { width: 144, height: 108, alt: "" });
       picture(event).then((url) => (image.src = url), () => {}); // without a picture its seed names it
-      const label = element("span", {}, `seed ${seed}`);
+      const label = element("span", { title: `seed ${seed}` }, seed.length > SHOWN ? `…${seed.slice(-SHOWN)}` : `seed ${seed}`);
       const button = element("button", { type: "button", class: "take", "aria-label": `Take with seed ${seed}`, onclick: () => on.pick(seed) }, image, label);
       takes = [...takes, { kind: ofKind, seed, item: element("li", {}, button) }].slice(-MOST);
       if (ofKind === kind) draw();

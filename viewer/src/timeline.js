@@ -18,6 +18,7 @@ export function createTimeline(box, limits, on) {
   let selected = 0;
   let length = 0; // seconds of the clip that is seen
   let time = 0;
+  let fresh = null; // segments that were made anew, the others being as they were
 
   const lengths = () => project.segments.map(({ seconds }) => Number(seconds ?? length));
   const whole = () => (isSequence(project) ? edges(project).at(-1) : length) || 1;
@@ -29,7 +30,7 @@ export function createTimeline(box, limits, on) {
     const say = `Segment ${at + 1} of ${project.segments.length}: ${segment.text}, ${seconds.toFixed(1)} s`;
     const button = element(
       "button",
-      { type: "button", class: "segment", "aria-label": say, title: segment.text, "aria-pressed": String(at === selected) },
+      { type: "button", class: `segment${fresh?.includes(at) ? " fresh" : ""}`, "aria-label": say, title: segment.text, "aria-pressed": String(at === selected) },
       element("span", {}, segment.text.replace(/^an? person /, "")),
       element("small", {}, `${seconds.toFixed(1)} s`),
     );
@@ -50,7 +51,7 @@ export function createTimeline(box, limits, on) {
     add.disabled = project.segments.length >= MOST_SEGMENTS;
     drop.disabled = project.segments.length < 2;
     box.hidden = !length;
-    box.querySelector(".segment-tools").hidden = lane.hidden = Boolean(project.concepts);
+    for (const name of [".segment-tools", ".segments", ".layers", ".add-layer"]) box.querySelector(name).hidden = Boolean(project.concepts);
     marks();
     move();
   }
@@ -191,8 +192,10 @@ export function createTimeline(box, limits, on) {
     get whole() {
       return whole();
     },
-    show(shown, which, seconds) {
+    /** made: segments that were made anew, where others were not. */
+    show(shown, which, seconds, made = null) {
       [project, selected, length] = [shown, which, seconds];
+      fresh = made && made.length < shown.segments.length ? made : null;
       draw();
     },
     at(seconds) {

@@ -1,6 +1,6 @@
 import assert from "node:assert/strict";
 import { test } from "node:test";
-import { drawnPath, fitted, handles, MOST_POINTS, pointsOf, shifted, span, straightened, textOf, translated, withHandle } from "../src/constraints.js";
+import { drawnPath, fitted, freed, handles, hasFree, middle, MOST_POINTS, pointsOf, shifted, span, straightened, textOf, translated, withHandle } from "../src/constraints.js";
 
 const hand = { type: "joint", joint: "right_wrist", position: [0.3, 1.4, null], seconds: 2 };
 const way = { type: "path", points: [[0, 0], [1, 2]] };
@@ -25,6 +25,10 @@ test("times move inside the timeline, and only where they are a constraint's own
 });
 
 test("places move by what is taken hold of; a free axis stays free", () => {
+  assert.deepEqual(handles(hand, [9, 9, 0.7]), [[0.3, 1.4, 0.7]]);
+  assert.deepEqual([hasFree(hand), hasFree(way), middle({ ...hand, seconds: [1, 2] }, 6)], [true, false, 1.5]);
+  assert.deepEqual(freed(hand, 0).position, [null, 1.4, null]);
+  assert.equal(freed(freed(hand, 0), 1).position[1], 1.4);
   assert.deepEqual(handles(hand), [[0.3, 1.4, 0]]);
   assert.deepEqual(withHandle(hand, 0, [1, -2, 3]).position, [1, 0, null]);
   assert.deepEqual(withHandle(way, 1, [0.12345, 9, 2]).points, [[0, 0], [0.123, 2]]);

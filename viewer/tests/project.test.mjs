@@ -57,7 +57,7 @@ test("what is no project is refused with a reason", () => {
     [null, "segments"], [{}, "segments"], [{ segments: [] }, "1 to 16"], [{ segments: Array(17).fill({ text: "a" }) }, "1 to 16"],
     [{ segments: [{ text: "a".repeat(513) }] }, "no text"], [{ segments: [{ text: 3 }] }, "no text"],
     [{ segments: [{ text: "a", graph: {} }] }, "actions"], [{ segments: [{ text: "a" }], concepts: [] }, "concepts"],
-    [{ segments: [{ text: "a" }], constraints: {} }, "constraints"], [{ segments: [{ text: "a" }], sampling: 3 }, "sampling"],
+    [{ segments: [{ text: "a" }], constraints: {} }, "constraints"], [{ segments: [{ text: "a" }], layers: [{ text: "a" }] }, "layers"], [{ segments: [{ text: "a" }], sampling: 3 }, "sampling"],
   ];
   for (const [value, reason] of bad) assert.throws(() => checked(value), new RegExp(reason), JSON.stringify(value));
   const strange = { ...three(), extra: 1, segments: [{ text: "a", html: "<b>" }] };

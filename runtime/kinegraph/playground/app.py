@@ -19,8 +19,10 @@ from starlette.routing import Route
 from kinegraph.clip import Clip
 from kinegraph.errors import InvalidInputError, KinegraphError
 from kinegraph.formats.html import content_security_policy
+from kinegraph.part_memory import PartMemory
 from kinegraph.pipeline import MotionPipeline
 from kinegraph.playground import page
+from kinegraph.playground.drafts import Drafts
 from kinegraph.playground.fair_queue import FairQueue, TooBusyError
 from kinegraph.playground.guards import UNEXPECTED, Receive, RequestGuard, Scope, Send, ServerLimits, run_until_left
 from kinegraph.playground.jobs import GenerationJob, TookTooLongError, generate_clip
@@ -36,7 +38,6 @@ from kinegraph.playground.schemas import (
     parse_graph,
     parse_json,
 )
-from kinegraph.timeline import PartMemory
 
 T = TypeVar("T")
 
@@ -53,7 +54,7 @@ class Playground:
         self._pipeline = pipeline
         self._clip_queue, self._parse_queue = FairQueue(), FairQueue()
         self._jobs: set[asyncio.Task[None]] = set()
-        self._memory = PartMemory()  # of one clip at a time, as the queue has it
+        self._memory, self._drafts = PartMemory(), Drafts()  # of one clip at a time, as the queue has it
         self._pages: dict[bool, bytes] = {}
         """The page, and the page that waits to be asked; empty until the first clip is made."""
 
@@ -100,11 +101,12 @@ class Playground:
         return JSONResponse(apply_edit(parse_json(await request.body())).to_dict())
 
     async def clip(self, request: Request) -> Response:
-        """Generate a clip and answer with events as JSON lines: queued, graph, step, level, and clip or error.
+        """Generate a clip and answer with events as JSON lines: queued, graph, step, level, and draft, clip or error.
 
         A client that disconnects stops the generation.
         """
-        clip_request, tab = parse_clip_request(parse_json(await request.body())), _tab(request)
+        clip_request = parse_clip_request(parse_json(await request.body()), drafts=True)
+        tab = _tab(request)
         self._clip_queue.check_room(tab)
         return EventStream(self._events(clip_request, tab), media_type="application/x-ndjson")
 
@@ -155,7 +157,9 @@ class Playground:
         try:
             async with self._clip_queue.turn(tab):
                 await run_in_thread(
-                    lambda stop: GenerationJob(self._pipeline, clip_request, send, stop, self._memory).run()
+                    lambda stop: GenerationJob(
+                        self._pipeline, clip_request, send, stop, self._memory, self._drafts
+                    ).run()
                 )
         except KinegraphError as error:
             send({"event": "error", "message": str(error)})

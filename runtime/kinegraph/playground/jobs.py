@@ -13,9 +13,11 @@ from kinegraph.diffusion.sampling import OnStep, StepInfo
 from kinegraph.errors import KinegraphError
 from kinegraph.formats.html import clip_record
 from kinegraph.graph import SemanticGraph
+from kinegraph.part_memory import PartMemory
 from kinegraph.pipeline import MotionPipeline, OnLevel
+from kinegraph.playground.drafts import Drafts
 from kinegraph.playground.schemas import ClipRequest
-from kinegraph.timeline import PartMemory, generate_timeline
+from kinegraph.timeline import generate_timeline
 
 MAX_SECONDS: Final = 300.0
 """Time of one clip; meanwhile the others wait."""
@@ -40,6 +42,7 @@ def generate_clip(
     on_step: OnStep,
     on_level: OnLevel | None = None,
     memory: PartMemory | None = None,
+    on_made: Callable[[Clip], None] | None = None,
 ) -> Clip:
     """Generate the clip of a request, equal to that of the command line for the same arguments.
 
@@ -47,7 +50,8 @@ def generate_clip(
         pipeline: a loaded bundle.
         request: what is asked for.
         on_step, on_level: as in `MotionPipeline.generate`.
-        memory: parts of timelines that need not be made again.
+        memory: parts of sequences and timelines that need not be made again.
+        on_made: called with the clip before it is looped or set in place.
 
     Raises:
         TookTooLongError: it took `MAX_SECONDS`.
@@ -61,6 +65,13 @@ def generate_clip(
         return on_step(info)
 
     clip = _generate(pipeline, request, on_step_in_time, on_level, memory)
+    if on_made is not None:
+        on_made(clip)
+    return shaped(clip, request)
+
+
+def shaped(clip: Clip, request: ClipRequest) -> Clip:
+    """Loop a clip and set it in place, as a request asks."""
     clip = clip.looped(foot_fix=request.foot_fix) if request.loop else clip
     return clip.in_place() if request.in_place else clip
 
@@ -81,9 +92,10 @@ def _generate(
     if request.constraints:
         constraining = {"constraints": request.constraints, "constraint_weight": request.constraint_weight}
     if request.texts is not None:
-        if request.constraints:
-            return generate_timeline(pipeline, request.texts, **sampling, **constraining, memory=memory)
-        return pipeline.sequence(request.texts, **sampling)
+        if request.constraints or request.layers:
+            layers = request.layers
+            return generate_timeline(pipeline, request.texts, **sampling, **constraining, layers=layers, memory=memory)
+        return pipeline.sequence(request.texts, **sampling, memory=memory)
     if request.concepts is None:
         return pipeline.generate(request.text or "", **sampling, **constraining, on_level=on_level)
     mixing = {name: getattr(request, name) for name in ("method", "text", "lambdas", "agd")}
@@ -100,30 +112,48 @@ class GenerationJob:
     stop: threading.Event
     """Set it to give up; checked after every diffusion step."""
     memory: PartMemory | None = None
+    """Of parts; afterwards it tells which were made."""
+    drafts: Drafts | None = None
+    """Clips that are bent where the request asks for a draft; the clip that is made is kept there."""
     stages: dict[str, float] = field(default_factory=dict)
     """Stage -> milliseconds."""
     _stage_start: float = 0.0
     _last_step_event: float = 0.0
 
     def run(self) -> None:
-        """Generate the clip; the last event holds it.
+        """Generate the clip, or bend a draft of it; the last event holds it, or none where there is nothing to bend.
 
         Raises:
             KinegraphError: as in `generate_clip`; `Cancelled` after `stop`.
         """
         self._stage_start = time.perf_counter()
+        if self.request.draft:
+            self._draft()
+            return
         request = self.request
         if request.concepts is None and request.texts is None and not isinstance(request.text, SemanticGraph):
             graph = self.pipeline.parse(request.text or "")
             self._end_stage("parser")
             self.send({"event": "graph", "graph": graph.to_dict()})
             request = replace(request, text=graph)
-        clip = generate_clip(self.pipeline, request, self._on_step, self._on_level, self.memory)
+        clip = generate_clip(self.pipeline, request, self._on_step, self._on_level, self.memory, self._keep)
         self._end_stage("decoder, feet")
         record = clip_record(clip)
         self._end_stage("body")
         stages = {name: round(milliseconds, 1) for name, milliseconds in self.stages.items()}
-        self.send({"event": "clip", "clip": record, "stages": stages})
+        event: dict[str, Any] = {"event": "clip", "clip": record, "stages": stages}
+        if request.texts is not None and self.memory is not None:
+            event["made"] = self.memory.made
+        self.send(event)
+
+    def _draft(self) -> None:
+        clip = None if self.drafts is None else self.drafts.draft(self.request)
+        if clip is not None:
+            self.send({"event": "draft", "clip": {**clip_record(shaped(clip, self.request)), "level": "draft"}})
+
+    def _keep(self, clip: Clip) -> None:
+        if self.drafts is not None:
+            self.drafts.keep(replace(self.request, seed=clip.seed), clip)
 
     def _on_step(self, info: StepInfo) -> bool:
         is_last = info.step == info.steps

@@ -20,6 +20,7 @@ from kinegraph.errors import BundleFormatError, InvalidInputError
 from kinegraph.formats import check_names, check_root, constraints_json, encode
 from kinegraph.formats.character import DEFAULT_FPS, decode_character
 from kinegraph.graph import SemanticGraph
+from kinegraph.layers import Layer
 from kinegraph.motion.skeleton import DEFAULT_NAMES
 from kinegraph.options import Guidance, Steps, parse_numbers
 from kinegraph.text.parser import check_caption
@@ -40,7 +41,7 @@ _BRACKET: Final = re.compile(rb"[\[\]{}]")
 
 _SAMPLING_KEYS: Final = frozenset(("seconds", "seed", "steps", "guidance", "foot_fix"))
 _COMPOSITION_KEYS: Final = frozenset(("method", "lambdas", "agd"))
-_CONSTRAINT_KEYS: Final = frozenset(("constraints", "constraint_weight"))
+_CONSTRAINT_KEYS: Final = frozenset(("constraints", "constraint_weight", "layers"))
 _SHAPE_KEYS: Final = frozenset(("loop", "in_place"))
 _FILE_KEYS: Final = frozenset(("names", "root", "fps"))
 
@@ -70,6 +71,10 @@ class ClipRequest:
     constraints: tuple[Constraint, ...] = ()
     """What the clip has to do besides, and where; of a sequence, times and places of the whole."""
     constraint_weight: float = 1.0
+    layers: tuple[Layer, ...] = ()
+    """Concepts over spans of a sequence."""
+    draft: bool = False
+    """Bend the clip that was made last to the constraints, instead of making it (`playground.drafts`)."""
     loop: bool = False
     in_place: bool = False
 
@@ -165,22 +170,23 @@ def parse_graph(record: Mapping[str, Any]) -> SemanticGraph:
     return SemanticGraph.from_dict(record.get("graph"))
 
 
-def parse_clip_request(record: Mapping[str, Any]) -> ClipRequest:
+def parse_clip_request(record: Mapping[str, Any], *, drafts: bool = False) -> ClipRequest:
     """Read a request for a clip.
 
     Args:
         record: one of {text}, {graph}, {concepts} and {texts}, and options. Beside a graph, `text` is ignored; beside
             concepts, it is their joint sentence.
+        drafts: whether a draft can be asked for.
 
     Raises:
         InvalidInputError: unknown keys, or invalid values.
     """
-    _check_keys(
-        record,
-        {"text", "graph", "concepts", "texts", *_COMPOSITION_KEYS, *_SAMPLING_KEYS, *_SHAPE_KEYS, *_CONSTRAINT_KEYS},
-    )
+    what = {"text", "graph", "concepts", "texts", *({"draft"} if drafts else ())}
+    _check_keys(record, {*what, *_COMPOSITION_KEYS, *_SAMPLING_KEYS, *_SHAPE_KEYS, *_CONSTRAINT_KEYS})
     concepts: tuple[Concept, ...] | None = None
     texts: tuple[str | SemanticGraph, ...] | None = None
+    if "layers" in record and "texts" not in record:
+        raise InvalidInputError("layers are for a sequence, which has texts")
     if "texts" in record:
         if beside := sorted(record.keys() & {"text", "graph", "concepts", *_COMPOSITION_KEYS}):
             raise InvalidInputError(f"{beside[0]} is not for a sequence, which has texts")
@@ -209,6 +215,8 @@ def parse_clip_request(record: Mapping[str, Any]) -> ClipRequest:
         foot_fix=record.get("foot_fix", True),
         constraints=constraints_json.decode(record["constraints"]) if "constraints" in record else (),
         constraint_weight=record.get("constraint_weight", 1.0),
+        layers=_layers(record["layers"]) if "layers" in record else (),
+        draft=_flag(record, "draft"),
         loop=_flag(record, "loop"),
         in_place=_flag(record, "in_place"),
     )
@@ -310,6 +318,14 @@ def _concepts(value: object) -> tuple[Concept, ...]:
     for item in value:
         _check_keys(item, {"text", "weight"})
     return tuple(Concept(item.get("text"), item.get("weight", 1.0)) for item in value)
+
+
+def _layers(value: object) -> tuple[Layer, ...]:
+    if not isinstance(value, list) or not all(isinstance(item, dict) for item in value):
+        raise InvalidInputError("layers must be a list of {text, begin, end, weight}")
+    for item in value:
+        _check_keys(item, {"text", "begin", "end", "weight"})
+    return tuple(Layer(item.get("text"), item.get("begin"), item.get("end"), item.get("weight", 1.0)) for item in value)
 
 
 def _texts(value: object) -> tuple[str | SemanticGraph, ...]:

@@ -1,0 +1,81 @@
+"""Concepts over spans of the timeline of the playground: by mouse and by keyboard, as `timeline.generate_timeline`."""
+
+from __future__ import annotations
+
+import json
+from typing import TYPE_CHECKING
+from urllib.parse import urlencode
+
+import pytest
+
+from kinegraph import MotionPipeline
+from kinegraph.formats import encode
+from kinegraph.layers import Layer
+from kinegraph.timeline import generate_timeline
+from support.browsing import Open, clips_shown, download, wait_until
+from support.playground import PlaygroundClient
+
+if TYPE_CHECKING:
+    from playwright.sync_api import Page
+
+TEXTS = ["a person walks forward", "a person stands still"]
+SCENE = "#" + urlencode({"texts": json.dumps(TEXTS), "seconds": "1,1", "seed": 3, "steps": 2})
+
+
+@pytest.fixture(autouse=True)
+def constrained(pipe: MotionPipeline) -> None:
+    if not pipe.sampler.sessions.decoder_gradients:
+        pytest.skip("the default bundle has no gradients")
+
+
+def bars(page: Page) -> list[str]:
+    found: list[str] = page.locator(".bar-of").evaluate_all("bars => bars.map((bar) => bar.ariaLabel)")
+    return found
+
+
+def fill(page: Page, name: str, value: str) -> None:
+    """Fill in a field of the concept and wait for its clip."""
+    before = clips_shown(page)
+    page.get_by_label(f"{name} of the concept").fill(value)
+    page.get_by_label(f"{name} of the concept").press("Enter")
+    wait_until(page, lambda: clips_shown(page) > before)
+
+
+def test_a_concept_counts_for_the_sentences_that_it_touches(
+    open_page: Open, server: PlaygroundClient, pipe: MotionPipeline
+) -> None:
+    page = open_page(server.url + SCENE, 900, 620)
+    wait_until(page, lambda: clips_shown(page) == 1)
+    page.get_by_role("button", name="Concept", exact=True).click()
+    wait_until(page, lambda: clips_shown(page) == 2)
+    assert bars(page) == ["waves the right hand from 0.0 to 1.0 s"]
+    assert page.evaluate("document.activeElement.ariaLabel") == "Words of the concept"
+    fill(page, "Words", "a person turns left")
+    fill(page, "Weight", "-0.5")
+    assert bars(page) == ["not turns left ×0.5 from 0.0 to 1.0 s"]
+    # its end, with the mouse: a quarter of the timeline later
+    box = page.locator(".bar-of").bounding_box()
+    assert box is not None
+    x, y = box["x"] + box["width"] - 3, box["y"] + box["height"] / 2
+    page.mouse.move(x, y)
+    page.mouse.down()
+    page.mouse.move(x + box["width"] / 2, y, steps=4)
+    page.mouse.up()
+    wait_until(page, lambda: clips_shown(page) == 5)
+    (bar,) = bars(page)
+    assert bar == "not turns left ×0.5 from 0.0 to 1.5 s; counts from 0.0 to 2.0 s"
+    assert "counts from 0 to 2 s" in page.locator(".result .note").first.inner_text()
+    layers = [Layer("a person turns left", 0, 1.5, -0.5)]
+    clip = generate_timeline(pipe, TEXTS, seconds=1, seed=3, steps=2, layers=layers)
+    assert download(page, ".npz") == encode(clip, ".npz")
+    page.locator(".bar-of").focus()
+    page.keyboard.press("Shift+ArrowLeft")
+    wait_until(page, lambda: bars(page)[0].startswith("not turns left ×0.5 from 0.0 to 1.4 s"))
+    page.keyboard.press("Delete")
+    wait_until(page, lambda: bars(page) == [])
+    assert page.evaluate("document.activeElement.innerText") == "Concept"
+    page.get_by_role("button", name="Undo").click()
+    wait_until(page, lambda: len(bars(page)) == 1)
+    page.reload()
+    page.wait_for_selector("html[data-shown]", state="attached")
+    assert bars(page)[0].startswith("not turns left")
