@@ -818,7 +818,8 @@ class MotionPipeline:
             sized, progress = part.with_options(options), subrange_progress(on_step, index, len(parts))
             make = partial(self._sample, sized, seed, progress, wanted=wanted)
             begins = b"" if joints is None else joints[-overlap:].tobytes()
-            clips.append(make() if memory is None else memory.part(of_sentence[index], _key(self, sized, seed, begins), make))
+            key = _key(self, sized, seed, begins)
+            clips.append(make() if memory is None else memory.part(of_sentence[index], key, make))
             joints = clips[-1].joints if joints is None else append_part(joints, clips[-1].joints, overlap)
         assert joints is not None
         notes = tuple(note for clip in clips for note in clip.notes)

@@ -366,8 +366,8 @@ FAULTS: tuple[Fault, ...] = (
         6,
         "a remembered part is that of other options",
         "pipeline.py",
-        "key = (self, sized.graph, sized.plan, repr(sized.options), seed)",
-        "key = (self, sized.graph, sized.plan, seed)",
+        "return (pipeline, part.graph, part.plan, repr(part.options), seed, begins)",
+        "return (pipeline, part.graph, part.plan, seed, begins)",
         "runtime/test_part_memory.py -k only_what_changed",
     ),
     Fault(

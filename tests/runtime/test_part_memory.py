@@ -41,6 +41,17 @@ def test_a_sequence_makes_only_what_changed_and_equals_one_that_makes_all(
     np.testing.assert_array_equal(clip.joints, toy.sequence(**options).joints)
 
 
+def test_where_parts_continue_those_behind_a_change_are_made_again(toy: MotionPipeline) -> None:
+    if not toy.sampler.sessions.decoder_gradients:
+        pytest.skip("the toy bundle has no gradients")
+    memory, options = PartMemory(), {**FEW, "method": "continue"}
+    toy.sequence(TEXTS, **options, memory=memory)
+    changed = [TEXTS[0], "a person kneels", *TEXTS[2:]]
+    clip = toy.sequence(changed, **options, memory=memory)
+    assert memory.made == (1, 2, 3)
+    np.testing.assert_array_equal(clip.joints, toy.sequence(changed, **options).joints)
+
+
 def test_a_weighted_graph_is_another_part(toy: MotionPipeline) -> None:
     memory = PartMemory()
     graph = toy.parse("a person walks slowly")
