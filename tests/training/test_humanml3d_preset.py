@@ -1,4 +1,4 @@
-"""The preset `humanml3d` on a made HumanML3D folder: prepare, twenty steps, export, a clip; data stay in shards."""
+"""The preset `humanml3d` on a made HumanML3D folder: prepare, six steps, export, a clip; data stay in shards."""
 
 from __future__ import annotations
 
@@ -29,13 +29,13 @@ from support.motions import walk
 from support.published_sets import write_guo_set
 from support.toy_run import ASSETS, run_stage, steps_of
 
-pytestmark = [pytest.mark.slow, pytest.mark.timeout(1200)]
+pytestmark = [pytest.mark.slow, pytest.mark.timeout(1200), pytest.mark.usefixtures("traces")]
 
 SMALL = """base = "humanml3d"
 [vae.shared]
 latent_width = 8
 width = 32
-layers = 3
+layers = 1
 heads = 2
 feed_forward = 64
 [vae.motion]
@@ -49,20 +49,20 @@ feed_forward = 64
 [vae.specific]
 tokens = 8
 [vae_training.shared]
-steps = 20
+steps = 6
 batch = 800
 warmup = 2
 [vae_training.specific]
-steps = 20
+steps = 6
 warmup = 2
 [denoiser]
 width = 32
-layers = 3
+layers = 1
 heads = 2
 feed_forward = 64
 context_layers = 1
 [denoiser_training]
-steps = 20
+steps = 6
 batch = 8
 warmup = 2
 """
@@ -119,8 +119,8 @@ def test_features_are_read_from_shards_as_if_they_were_in_memory(folder: Path) -
 
 def test_all_stages_took_their_steps(folder: Path) -> None:
     run = folder / "run"
-    assert {steps_of(run / f"vae_{level}" / "last.ckpt") for level in LEVELS} == {20}
-    assert steps_of(run / "denoisers" / "last.ckpt") == 20
+    assert {steps_of(run / f"vae_{level}" / "last.ckpt") for level in LEVELS} == {6}
+    assert steps_of(run / "denoisers" / "last.ckpt") == 6
     assert len(read_vae(run / "vae_specific" / "last.ckpt").mean) == 263
 
 
