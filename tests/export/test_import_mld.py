@@ -32,7 +32,7 @@ SHORT = {"seconds": 2, "seed": 3, "steps": 4}
 
 
 @pytest.fixture(scope="module")
-def bundle(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def bundle(traces: object, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Folder of a float32 bundle of the official modules' random weights, where they are at hand."""
     folder = tmp_path_factory.mktemp("mld")
     official = SHARED / "fixtures" / "official" / "mld.weights.safetensors"
