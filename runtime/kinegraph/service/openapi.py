@@ -38,6 +38,11 @@ _PROPERTIES: Final[dict[str, dict[str, Any]]] = {
         "description": "paths, waypoints, joints and poses, as in files of constraints; of a sequence, on the whole",
     },
     "constraint_weight": {"type": "number", "description": "of all constraints against the text"},
+    "layers": {
+        "type": "array",
+        "items": {"type": "object"},
+        "description": "concepts and negations over spans of a sequence",
+    },
     "format": {"enum": [suffix[1:] for suffix in MEDIA_TYPES], "default": "glb"},
     "names": {"enum": ["smpl", "mixamo"], "default": "smpl", "description": "joint names in glb and bvh"},
     "root": {"type": "boolean", "default": False, "description": "a joint that carries travel and heading"},
