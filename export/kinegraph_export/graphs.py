@@ -18,6 +18,8 @@ from kinegraph.bundle.contract import (
     COARSE_DECODERS,
     DECODER_GRADIENTS,
     ENCODER,
+    FRAMES_CONTEXT_AGD,
+    FRAMES_DENOISER_AGD,
     KINDS,
     LEVELS,
     WEIGHT_SOURCES,
@@ -51,7 +53,7 @@ from kinegraph_training.models.vae import MotionVae
 
 Precision = Literal["fp32", "int8"]
 
-FLOAT32_GRAPHS = ("graph_encoder", "decoder", *AGD_CONTEXTS.values())
+FLOAT32_GRAPHS = ("graph_encoder", "decoder", *AGD_CONTEXTS.values(), FRAMES_CONTEXT_AGD)
 """Graphs that compute in float32 on float16 weights in an int8 bundle too."""
 INT8_WEIGHT_GRAPHS = (*COARSE_DECODERS.values(), ENCODER)
 """Graphs that compute in float32 on int8 weights in an int8 bundle."""
@@ -274,7 +276,7 @@ def _quantise_graph(model: onnx.ModelProto, name: str) -> onnx.ModelProto:
     """Quantise a graph in the way of its kind: weights alone, or weights and activations."""
     if name in INT8_WEIGHT_GRAPHS:
         return store_int8(model)
-    if name in AGD_DENOISERS.values():
+    if name in (*AGD_DENOISERS.values(), FRAMES_DENOISER_AGD):
         # Adaptive gradient descent moves a context by thousandths, which int8 activations would round away. So the
         # weights that read and move the context are only stored as int8: they reach the products transposed, which the
         # quantiser skips. `optimise_graph` would fold them into two copies each.

@@ -49,12 +49,16 @@ class MotionDecoder:
             ModelError, NonFiniteError: see `bundle.sessions.run_model`.
         """
         frames, fps = [sample.frames for sample in options], self.manifest.fps
-        motions = decode_joints(self.sessions.decoder_of(level), self.manifest, self.bones, latents, frames)
+        motions = self.joints(latents, frames, level)
         bundle = f"{self.manifest.name} {self.manifest.version}"
         return [
             Clip(lock_feet(joints, fps) if sample.foot_fix else joints, fps, sample.seed, caption, bundle)
             for joints, sample, caption in zip(motions, options, captions, strict=True)
         ]
+
+    def joints(self, latents: FloatArray, frames: Sequence[int], level: str) -> list[FloatArray]:
+        """Decode latents of a level into the joints of every sample, see `decode_joints`."""
+        return decode_joints(self.sessions.decoder_of(level), self.manifest, self.bones, latents, frames)
 
 
 def decode_joints(
@@ -76,9 +80,15 @@ def decode_joints(
     Raises:
         ModelError, NonFiniteError: see `bundle.sessions.run_model`.
     """
+    return joints_of_features(decode_features(decoder, manifest, latents, frames), manifest, bones)
+
+
+def joints_of_features(
+    features: Sequence[FloatArray], manifest: Manifest, bones: FloatArray | None
+) -> list[FloatArray]:
+    """Convert features (frames, F) of every sample, not normalised, to joints; see `decode_joints`."""
     joints_from = _JOINTS_FROM[manifest.features.layout]
-    motions = [joints_from(rows) for rows in decode_features(decoder, manifest, latents, frames)]
-    return [enforce_bone_lengths(joints, bones) for joints in motions]
+    return [enforce_bone_lengths(joints_from(rows), bones) for rows in features]
 
 
 def decode_features(

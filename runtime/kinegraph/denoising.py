@@ -18,7 +18,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import onnxruntime
@@ -50,7 +50,7 @@ from kinegraph.diffusion.sampling import (
     is_stop,
 )
 from kinegraph.errors import Cancelled, InvalidInputError
-from kinegraph.options import GenerateOptions
+from kinegraph.options import LATENT, GenerateOptions
 from kinegraph.validation import require_finite
 
 MakePredictor = Callable[[str, DdimCoefficients, FloatArray | None], PredictNoise]
@@ -114,6 +114,8 @@ def sample_hierarchy(
 class LatentSampler:
     """The three latent diffusion models of a bundle."""
 
+    space: ClassVar[str] = LATENT
+    """Where it samples, of `options.SPACES`."""
     sessions: Sessions
     manifest: Manifest
 
@@ -159,10 +161,14 @@ class LatentSampler:
             ddim: of its run.
             coarse: (B, C', z') final latents of the level above; None at the coarsest.
         """
-        seen = for_level(conditions, self.manifest.levels[level].nodes)
+        seen = for_level(conditions, self.kinds_seen(level))
         if weights is None:
             return self._guided(level, seen, options, ddim, coarse)
         return self._composed(level, seen, weights, options[0], ddim, coarse)
+
+    def kinds_seen(self, level: str) -> tuple[str, ...]:
+        """Return the kinds of context tokens that a level attends to, see `contract.NODE_KINDS`."""
+        return self.manifest.levels[level].nodes
 
     @property
     def schedule(self) -> NoiseSchedule:
@@ -327,6 +333,7 @@ def bind_step_inputs(
     routing: AttentionRouting,
     modulation: FloatArray,
     gamma: FloatArray | None = None,
+    tokens: int | None = None,
 ) -> NoisePredictor:
     """Compute what the steps of one level share: keys and values of every layer, once, and their routing.
 
@@ -338,6 +345,7 @@ def bind_step_inputs(
         routing: of contexts and latent rows.
         modulation: see `adaln_modulation`.
         gamma: (A, 2) step sizes of adaptive gradient descent, for its graphs.
+        tokens: C, for a denoiser that takes any number of latent tokens.
     """
     inputs: dict[str, NDArray[Any]] = {"nodes": contexts.nodes, "kind": contexts.kind, "order": contexts.order}
     bias = contexts.bias
@@ -350,7 +358,7 @@ def bind_step_inputs(
     names = [output.name for output in context.get_outputs()]
     # key_i, value_i (K, h, S, d/h) of every layer, or the projected context (K, S, d) for AGD
     attended = dict(zip(names, run_model(context, names, inputs, "the context encoder"), strict=True))
-    latent_tokens = denoiser.get_inputs()[0].shape[1]
+    latent_tokens = denoiser.get_inputs()[0].shape[1] if tokens is None else tokens
     if not (routing.is_identity and len(routing.context) == len(contexts.kind)):
         attended = {name: value[routing.context] for name, value in attended.items()}
     constant: dict[str, Any] = {

@@ -15,15 +15,18 @@ from dataclasses import dataclass, replace
 from types import MappingProxyType
 from typing import Any, Final, TypeVar
 
-from kinegraph.bundle.contract import LEVELS
+from kinegraph.bundle.contract import FRAMES, LEVELS
 from kinegraph.bundle.manifest import Manifest, ScheduleSpec
 from kinegraph.diffusion.sampling import OnStep, StepInfo, is_stop
 from kinegraph.errors import InvalidInputError, TimedOut
 from kinegraph.limits import MAX_TAKES
 from kinegraph.validation import check_flag, finite_number, short_repr, whole_number
 
+LATENT: Final = "latent"
+SPACES: Final = (LATENT, FRAMES)
+"""Where a clip is sampled: in the latent space of the autoencoders, or in skeleton space (`bundle.frames_part`)."""
 MAX_GUIDANCE: Final = 20.0
-SEQUENCE_METHODS: Final = ("blend", "continue")
+SEQUENCE_METHODS: Final = ("blend", "continue", "energy")
 """How the parts of a sequence follow one another; see `MotionPipeline.sequence`."""
 MAX_SEED: Final = 2**63
 _PART_SEED_STRIDE: Final = 1_000_003
@@ -63,6 +66,7 @@ def resolve_options(
     steps: Steps | None = None,
     guidance: Guidance | None = None,
     foot_fix: bool = True,
+    space: str = LATENT,
 ) -> GenerateOptions:
     """Validate the options of a call and fill in the bundle's defaults.
 
@@ -73,10 +77,12 @@ def resolve_options(
         steps: diffusion steps, see `Steps`.
         guidance: guidance scale, 0 to 20, see `Guidance`.
         foot_fix: whether standing feet are locked where they stand.
+        space: of `SPACES`.
 
     Raises:
         InvalidInputError: naming the option, its value and what is allowed.
     """
+    default_steps, default_guidance = _space_defaults(manifest, space)
     frames = frame_count(manifest, manifest.defaults.seconds if seconds is None else seconds)
 
     def validate_steps(value: object, name: str) -> int:
@@ -86,10 +92,29 @@ def resolve_options(
         frames=frames,
         seconds=frames / manifest.fps,
         seed=validate_seed(seed),
-        steps=_per_level(steps, "steps", manifest.defaults.steps, validate_steps),
-        guidance=_per_level(guidance, "guidance", manifest.defaults.guidance, _validate_guidance),
+        steps=_per_level(steps, "steps", default_steps, validate_steps),
+        guidance=_per_level(guidance, "guidance", default_guidance, _validate_guidance),
         foot_fix=check_flag(foot_fix, "foot_fix"),
     )
+
+
+def _space_defaults(manifest: Manifest, space: object) -> tuple[Mapping[str, int], Mapping[str, float]]:
+    """Return the bundle's default steps and guidance in a space.
+
+    Raises:
+        InvalidInputError: no such space, or a bundle without skeleton space.
+    """
+    if space == LATENT:
+        return manifest.defaults.steps, manifest.defaults.guidance
+    if space != FRAMES:
+        raise InvalidInputError(f"space must be one of {', '.join(SPACES)}, not {short_repr(space)}")
+    part = manifest.frames_part
+    if part is None:
+        raise InvalidInputError(
+            f"bundle {manifest.name} {manifest.version} has no skeleton space; leave out space, or add it: "
+            "python -m kinegraph_export.add_frames"
+        )
+    return {FRAMES: part.steps}, {FRAMES: part.guidance}
 
 
 def frame_count(manifest: Manifest, seconds: float) -> int:
@@ -148,7 +173,7 @@ def _per_level(
 ) -> Mapping[str, N]:
     if value is None:
         return defaults
-    levels = [level for level in LEVELS if level in defaults]  # the released MLD has the last one alone
+    levels = [level for level in (*LEVELS, FRAMES) if level in defaults]  # the released MLD has the last of three alone
     if isinstance(value, Mapping):
         for level in value:
             if level not in levels:

@@ -12,8 +12,10 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping, Sequence
+from copy import copy
 from dataclasses import dataclass, replace
 from functools import cached_property, partial, wraps
+from itertools import accumulate, pairwise
 from operator import itemgetter
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar
@@ -21,6 +23,7 @@ from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar
 import onnxruntime
 
 from kinegraph.arrays import FloatArray
+from kinegraph.bundle.contract import FRAMES
 from kinegraph.bundle.manifest import Manifest
 from kinegraph.bundle.reader import read_bundle
 from kinegraph.bundle.sessions import Sessions, open_sessions
@@ -39,6 +42,7 @@ from kinegraph.graph import SemanticGraph
 from kinegraph.limits import MAX_PARTS, MAX_SHARED, MAX_TAKES
 from kinegraph.motion.blending import blend_margins, stitch
 from kinegraph.options import (
+    LATENT,
     Deadline,
     GenerateOptions,
     Guidance,
@@ -63,6 +67,7 @@ from kinegraph.validation import check_callback, check_flag, short_repr
 if TYPE_CHECKING:
     from kinegraph.constrained_denoising import Wanted
     from kinegraph.constraints import Constraint
+    from kinegraph.intervals import Interval
     from kinegraph.part_memory import PartMemory
 
 OnLevel = Callable[[str, Clip], None]
@@ -203,6 +208,23 @@ class MotionPipeline:
         encoder = self.encoder
         return MotionPipeline(self.manifest, sessions, encoder.tokenizer, encoder.tables, self.parser, self.vocabulary)
 
+    def in_space(self, space: str) -> MotionPipeline:
+        """Make a pipeline that samples in a space of `options.SPACES`: this one for "latent".
+
+        Raises:
+            InvalidInputError: no such space, or the bundle has no skeleton space.
+        """
+        if space == LATENT:
+            return self
+        resolve_options(self.manifest, space=space)
+        from kinegraph.frame_denoising import FrameDecoder, FrameSampler
+
+        other = copy(self)
+        sessions, manifest = self.sampler.sessions, self.manifest
+        object.__setattr__(other, "sampler", FrameSampler(sessions, manifest))
+        object.__setattr__(other, "decoder", FrameDecoder(sessions, manifest, self.decoder.bones))
+        return other
+
     @_with_typed_memory_errors
     def parse(self, text: str) -> SemanticGraph:
         """Parse a sentence into its semantic graph: look at it, edit it, hand it back to `generate`.
@@ -240,6 +262,7 @@ class MotionPipeline:
         seed: int | None = None,
         steps: Steps | None = None,
         guidance: Guidance | None = None,
+        space: str = LATENT,
         foot_fix: bool = True,
         constraints: Sequence[Constraint] | None = None,
         constraint_weight: float = 1.0,
@@ -262,6 +285,8 @@ class MotionPipeline:
             seed: of the noise, 0 to 2**63 - 1; None draws one, to be found in the clip.
             steps: diffusion steps, one number or one per level.
             guidance: guidance scale (Eq. A), one number or one per level.
+            space: "latent", or "frames" for skeleton space, where the bundle has it: the motion features themselves are
+                sampled (EnergyMoGen, appendix B), slower, at one level, and without constraints.
             foot_fix: lock standing feet where they stand (`motion.postprocess.lock_feet`).
             constraints: what the clip has to do besides (`kinegraph.constraints`): paths, places of joints, poses. The
                 clip tells how far it is from each (`Clip.misses`). Actions in order are then sampled at once.
@@ -283,9 +308,10 @@ class MotionPipeline:
         # 1. Check the request
         deadline = _check_call(timeout, on_step, on_level, strict=strict)
         options = resolve_options(
-            self.manifest, seconds=seconds, seed=seed, steps=steps, guidance=guidance, foot_fix=foot_fix
+            self.manifest, seconds=seconds, seed=seed, steps=steps, guidance=guidance, foot_fix=foot_fix, space=space
         )
-        wanted = self._check_constraints(constraints, constraint_weight, constraint_fix, strict=strict)
+        pipe = self.in_space(space)
+        wanted = pipe._check_constraints(constraints, constraint_weight, constraint_fix, strict=strict)
         # 2. Text -> graph; what it asks for: words, lengths, negations, weighted edges (Eq. 7, 8)
         graph = self.as_graph(text)
         unknown = self.find_unknown(graph, strict=strict)
@@ -295,7 +321,7 @@ class MotionPipeline:
         )
         deadline.check()
         # 4. Motion -> action -> specific latent; 5. latents -> features -> joints -> clip
-        clip = self._make_clip(encoded, options.seed, deadline.watch(on_step), on_level, wanted)
+        clip = pipe._make_clip(encoded, options.seed, deadline.watch(on_step), on_level, wanted)
         return replace(clip, unknown=unknown)
 
     def takes(
@@ -307,6 +333,7 @@ class MotionPipeline:
         seed: int | None = None,
         steps: Steps | None = None,
         guidance: Guidance | None = None,
+        space: str = LATENT,
         foot_fix: bool = True,
         constraints: Sequence[Constraint] | None = None,
         constraint_weight: float = 1.0,
@@ -324,6 +351,7 @@ class MotionPipeline:
             seed=seed,
             steps=steps,
             guidance=guidance,
+            space=space,
             foot_fix=foot_fix,
             constraints=constraints,
             constraint_weight=constraint_weight,
@@ -344,6 +372,7 @@ class MotionPipeline:
         seed: int | None = None,
         steps: Steps | None = None,
         guidance: Guidance | None = None,
+        space: str = LATENT,
         foot_fix: bool = True,
         constraints: Sequence[Constraint] | None = None,
         constraint_weight: float = 1.0,
@@ -361,7 +390,7 @@ class MotionPipeline:
             texts: sentences or graphs.
             takes: of each; `limits.MAX_TAKES` clips at most in all.
             seconds: one length, one per sentence, or None for what each asks for.
-            seed, steps, guidance, foot_fix, strict, timeout: as in `generate`.
+            seed, steps, guidance, space, foot_fix, strict, timeout: as in `generate`.
             constraints, constraint_weight, constraint_fix: of every clip, as in `generate`; not in a shared run.
             shared_run: let up to 32 clips share the runs of the models: faster. Sums of a larger run are rounded in
                 another order, so a clip then equals that of `generate` to 0.1 mm in an fp32 bundle only; in an int8
@@ -375,12 +404,21 @@ class MotionPipeline:
         """
         deadline = _check_call(timeout, on_step, strict=strict, shared_run=shared_run)
         on_step = deadline.watch(on_step)
-        wanted = self._check_constraints(constraints, constraint_weight, constraint_fix, strict=strict)
+        pipe = self.in_space(space)
+        wanted = pipe._check_constraints(constraints, constraint_weight, constraint_fix, strict=strict)
         if shared_run and wanted is not None:
             raise InvalidInputError("clips that share one run cannot have constraints; leave out shared_run")
         lengths = validate_lengths(texts, seconds, MAX_TAKES, "a batch")
         options = [
-            resolve_options(self.manifest, seconds=length, seed=seed, steps=steps, guidance=guidance, foot_fix=foot_fix)
+            resolve_options(
+                self.manifest,
+                seconds=length,
+                seed=seed,
+                steps=steps,
+                guidance=guidance,
+                foot_fix=foot_fix,
+                space=space,
+            )
             for length in lengths
         ]
         seeds = batch_seeds(options[0].seed, len(options), takes)
@@ -393,10 +431,10 @@ class MotionPipeline:
             for graph, option, length, words in deadline.each(zip(graphs, options, lengths, unknown, strict=True))
         ]
         if shared_run:
-            clips = self._make_together(sentences, seeds, takes, on_step)
+            clips = pipe._make_together(sentences, seeds, takes, on_step)
         else:
             clips = [
-                self._make_clip(
+                pipe._make_clip(
                     sentences[index // takes], value, subrange_progress(on_step, index, len(seeds)), wanted=wanted
                 )
                 for index, value in enumerate(seeds)
@@ -427,20 +465,25 @@ class MotionPipeline:
                 poses are alike (`motion.blending`); a part keeps its length to 0.5 s. "continue" begins each part in
                 the last pose of the one before, as `stream` does: nothing is blended, and a part has its length to the
                 frame, but at most 0.2 s less than the longest clip. It takes four times as long, and its joins are less
-                calm (measured).
+                calm (measured). "energy" samples all parts in one run of skeleton space, where the bundle has it:
+                neighbours share 0.8 s, and their scores add up there (EnergyMoGen, Eq. 11); it takes no memory.
             seconds: of each part: one length, one per sentence, or None for what each asks for.
             seed, steps, guidance, foot_fix, strict, timeout: as in `generate`.
             on_step: as in `generate`; its `done` and `total` are those of all parts.
             memory: parts that were made before, and need not be made again.
 
         Raises:
-            InvalidInputError, Cancelled, NonFiniteError: as in `generate`; also for a bundle without gradients of its
-                decoders, which "continue" needs.
+            InvalidInputError, Cancelled, NonFiniteError: as in `generate`; also for a bundle without what a method
+                needs: gradients of its decoders, or skeleton space.
         """
         deadline = _check_call(timeout, on_step, strict=strict)
         if memory is not None:
             from kinegraph.part_memory import check_memory
 
+            if method == "energy":
+                raise InvalidInputError(
+                    'a memory keeps parts that are made one by one; method "energy" makes all at once'
+                )
             check_memory(memory).begin()
         on_step = deadline.watch(on_step)
         lengths = validate_lengths(texts, seconds, MAX_PARTS, "a sequence")
@@ -448,8 +491,17 @@ class MotionPipeline:
             from kinegraph.constrained_denoising import require_gradients
 
             require_gradients(self.sampler)
+        pipe = self.in_space(FRAMES if method == "energy" else LATENT)
         options = [
-            resolve_options(self.manifest, seconds=length, seed=seed, steps=steps, guidance=guidance, foot_fix=foot_fix)
+            resolve_options(
+                self.manifest,
+                seconds=length,
+                seed=seed,
+                steps=steps,
+                guidance=guidance,
+                foot_fix=foot_fix,
+                space=pipe.sampler.space,
+            )
             for length in lengths
         ]
         graphs = [self.as_graph(text) for text in deadline.each(texts)]
@@ -464,7 +516,7 @@ class MotionPipeline:
         ]
         notes = tuple(dict.fromkeys(note for sentence in sentences for note in sentence.notes))
         if len(sentences) == 1:
-            return replace(self._make_clip(sentences[0], seeds[0], on_step), unknown=unknown)
+            return replace(pipe._make_clip(sentences[0], seeds[0], on_step), unknown=unknown)
         parts = [
             (part, part_seed(sentence_seed, index))
             for sentence, sentence_seed in zip(sentences, seeds, strict=True)
@@ -472,8 +524,11 @@ class MotionPipeline:
         ]
         of_sentence = [index for index, sentence in enumerate(sentences) for _ in sentence.parts]
         text = sequence_caption([graph.caption for graph in graphs])
-        make_parts = self._continue_parts if method == "continue" else self._make_parts
-        clip = make_parts(parts, on_step, memory, of_sentence)
+        if method == "energy":
+            clip = pipe._energy_parts(parts, on_step)
+        else:
+            make_parts = self._continue_parts if method == "continue" else self._make_parts
+            clip = make_parts(parts, on_step, memory, of_sentence)
         return replace(clip, text=text, unknown=unknown, notes=tuple(dict.fromkeys((*notes, *clip.notes))))
 
     @_with_typed_memory_errors
@@ -489,6 +544,7 @@ class MotionPipeline:
         seed: int | None = None,
         steps: Steps | None = None,
         guidance: Guidance | None = None,
+        space: str = LATENT,
         foot_fix: bool = True,
         constraints: Sequence[Constraint] | None = None,
         constraint_weight: float = 1.0,
@@ -511,8 +567,8 @@ class MotionPipeline:
             agd: step sizes (gamma_attn, gamma_reg) of adaptive gradient descent (Eq. 3, 4), each 0 to 1: EnergyMoGen
                 has (0.0004, 0.0004) for several concepts and (0.001, 0.002) for one sentence of several; the default
                 bundle does best with (0.1, 0.1). None is off.
-            seconds, seed, steps, guidance, foot_fix, constraints, constraint_weight, constraint_fix, strict, timeout,
-                on_step, on_level: as in `generate`; negated concepts count for `strict`, too.
+            seconds, seed, steps, guidance, space, foot_fix, constraints, constraint_weight, constraint_fix, strict,
+                timeout, on_step, on_level: as in `generate`; negated concepts count for `strict`, too.
 
         Raises:
             InvalidInputError: a concept, weight or option is outside what can be composed, or the bundle has no
@@ -522,19 +578,80 @@ class MotionPipeline:
         deadline = _check_call(timeout, on_step, on_level, strict=strict)
         spec = validate_composition(concepts, method, text, lambdas, agd)
         options = resolve_options(
-            self.manifest, seconds=seconds, seed=seed, steps=steps, guidance=guidance, foot_fix=foot_fix
+            self.manifest, seconds=seconds, seed=seed, steps=steps, guidance=guidance, foot_fix=foot_fix, space=space
         )
-        wanted = self._check_constraints(constraints, constraint_weight, constraint_fix, strict=strict)
+        pipe = self.in_space(space)
+        wanted = pipe._check_constraints(constraints, constraint_weight, constraint_fix, strict=strict)
         named = [concept.text for concept in (*spec.concepts, *spec.negated)]
         unknown = self.find_unknown(*named, *([] if text is None else [text]), strict=strict)
-        conditions, plan, options = self.encode_composition(spec, options, own_length=seconds is None)
+        conditions, plan, options = pipe.encode_composition(spec, options, own_length=seconds is None)
         deadline.check()
         caption = spec.joint.caption if isinstance(spec.joint, SemanticGraph) else spec.joint
         on_latent = self._on_latent(on_level, options, caption)
         notes = tuple(dict.fromkeys(note for graph in plan.graphs for note in self.encoder.left_out(graph)))
         watch = deadline.watch(on_step)
-        clip = self._decode_sample(conditions, plan.weights, options, caption, wanted, watch, on_latent)
+        clip = pipe._decode_sample(conditions, plan.weights, options, caption, wanted, watch, on_latent)
         return replace(clip, unknown=unknown, notes=(*notes, *clip.notes))
+
+    @_with_typed_memory_errors
+    def timeline(
+        self,
+        intervals: Sequence[Interval],
+        *,
+        overlap: float | None = None,
+        seed: int | None = None,
+        steps: Steps | None = None,
+        guidance: Guidance | None = None,
+        space: str = LATENT,
+        foot_fix: bool = True,
+        strict: bool = False,
+        timeout: float | None = None,
+        on_step: OnStep | None = None,
+    ) -> Clip:
+        """Make one clip of texts that each hold from one moment to another (STMC's timelines; EnergyMoGen, Eq. 11).
+
+        In skeleton space, intervals overlap as they like, for the whole body or for parts of it: all are denoised in
+        one run, each on its own frames. In latent space, texts that begin and end together are composed (Eq. 7-10),
+        and what follows one another is joined as in `sequence`.
+
+        Args:
+            intervals: in any order; something happens at every moment from 0 on. `intervals.read_intervals` reads a
+                file.
+            overlap: seconds that intervals which follow one another share, half on either side; None is 0.8. Of
+                skeleton space alone.
+            seed, steps, guidance, space, foot_fix, strict, timeout, on_step: as in `generate`.
+
+        Raises:
+            InvalidInputError, Cancelled, NonFiniteError: as in `generate`; also intervals that are too short or
+                too long for the model, or that latent space cannot take.
+        """
+        from kinegraph.intervals import check_intervals
+
+        deadline = _check_call(timeout, on_step, strict=strict)
+        timeline = check_intervals(intervals)
+        pipe = self.in_space(space)
+        options = [
+            resolve_options(
+                self.manifest,
+                seconds=each.end - each.start,
+                seed=seed,
+                steps=steps,
+                guidance=guidance,
+                foot_fix=foot_fix,
+                space=space,
+            )
+            for each in timeline
+        ]
+        graphs = [self.as_graph(each.text) for each in deadline.each(timeline)]
+        unknown = self._unknown_of_each(graphs, strict)
+        parts = [
+            self._encode_part(graph, option, own_length=False, is_known=not words)
+            for graph, option, words in deadline.each(zip(graphs, options, unknown, strict=True))
+        ]
+        clip = pipe._make_timeline(timeline, parts, options[0].seed, overlap, deadline.watch(on_step))
+        notes = tuple(dict.fromkeys(note for part in parts for note in part.notes))
+        text = "; ".join(each.caption for each in timeline)
+        return replace(clip, text=text, unknown=_once_each(unknown), notes=notes)
 
     @_with_typed_memory_errors
     def edit(
@@ -825,6 +942,16 @@ class MotionPipeline:
         notes = tuple(note for clip in clips for note in clip.notes)
         return replace(clips[0], joints=joints, graph=None, notes=notes, misses=())
 
+    def _energy_parts(self, parts: Sequence[tuple[_EncodedPart, int]], on_step: OnStep | None) -> Clip:
+        """Sample parts in one run of skeleton space, from the noise of the first seed (EnergyMoGen, Eq. 11)."""
+        from kinegraph.intervals import Interval
+
+        ends = [0.0, *accumulate(part.options.seconds for part, _ in parts)]
+        timeline = [
+            Interval(part.graph, start, end) for (part, _), (start, end) in zip(parts, pairwise(ends), strict=True)
+        ]
+        return self._make_timeline(timeline, [part for part, _ in parts], parts[0][1], None, on_step)
+
     def _sample(
         self,
         part: _EncodedPart,
@@ -868,6 +995,10 @@ class MotionPipeline:
         """
         if constraints is None or (isinstance(constraints, list | tuple) and not constraints):
             return None
+        if self.sampler.space != LATENT:
+            raise InvalidInputError(
+                f"constraints pull in latent space; leave out space={self.sampler.space!r}, or them"
+            )
         from kinegraph.constrained_denoising import Wanted
 
         return Wanted.check(constraints, weight, fix, strict, self.sampler)
@@ -891,6 +1022,58 @@ class MotionPipeline:
             latents = self.sampler.sample(conditions.map(itemgetter(run)), None, options[run], progress)
             clips += self.decoder.decode(latents, options[run], [part.graph.caption for part in sampled[run]])
         return [replace(clip, graph=part.graph, notes=part.notes) for clip, part in zip(clips, sampled, strict=True)]
+
+    def _make_timeline(
+        self,
+        timeline: Sequence[Interval],
+        parts: Sequence[_EncodedPart],
+        seed: int,
+        overlap: float | None,
+        on_step: OnStep | None,
+    ) -> Clip:
+        """Make the clip of a timeline, see `timeline`; `parts` are its encoded intervals."""
+        if self.sampler.space != LATENT:
+            from kinegraph.frame_timeline import EncodedInterval, make_timeline
+
+            encoded = [
+                EncodedInterval(part.features, None if part.plan.is_plain else part.plan.weights, each)
+                for each, part in zip(timeline, parts, strict=True)
+            ]
+            options = replace(parts[0].options, seed=seed)
+            return make_timeline(self.encoder, self.sampler, self.decoder, encoded, options, overlap, on_step)
+        if overlap is not None:
+            raise InvalidInputError('overlap is for space="frames"; in latent space parts are blended as in a sequence')
+        groups = self._compose_groups(timeline, parts)
+        if len(groups) == 1:
+            return self._sample(groups[0], seed, on_step)
+        return self._make_parts([(part, seed + index) for index, part in enumerate(groups)], on_step)
+
+    def _compose_groups(self, timeline: Sequence[Interval], parts: Sequence[_EncodedPart]) -> list[_EncodedPart]:
+        """Compose the intervals of a timeline that begin and end together (Eq. 7-10).
+
+        Raises:
+            InvalidInputError: intervals that overlap otherwise, or are for parts of the body.
+        """
+        from kinegraph.intervals import groups_at_once
+
+        groups = groups_at_once(timeline)
+        if groups is None:
+            raise InvalidInputError(
+                "in latent space, intervals begin and end together or follow one another, and are for the whole body; "
+                'take space="frames" for others, where the bundle has it'
+            )
+        left, composed = iter(parts), []
+        for group in groups:
+            first, *others = [next(left) for _ in group]
+            if others:
+                graphs = [first.graph, *(part.graph for part in others)]
+                spec = validate_composition([Concept(graph) for graph in graphs], "fused", None, None, None)
+                self.sampler.validate_composition(spec.lambdas, spec.agd)
+                plan = SamplingPlan.for_composition(spec, [self.as_graph(text) for text in spec.texts])
+                features, _ = self._encode(plan, first.options, own_length=False)
+                first = replace(first, plan=plan, features=features)
+            composed.append(first)
+        return composed
 
     def _on_latent(self, on_level: OnLevel | None, options: GenerateOptions, caption: str) -> OnLatent:
         """Make the sampler's callback that decodes each coarser level for `on_level`."""

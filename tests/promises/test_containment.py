@@ -9,12 +9,11 @@ from pathlib import Path
 import pytest
 
 from kinegraph import BundleError, BundleFormatError, BundleIntegrityError
-from kinegraph.bundle.contract import contracts, graph_files, optional_graph_files
+from kinegraph.bundle.contract import graph_files, optional_graph_files
 from kinegraph.bundle.manifest import FileSpec
 from kinegraph.bundle.reader import read_bundle
 from support.opened_paths import opened_paths
 from support.synthetic_bundle import (
-    LEVEL_SPECS,
     bundle_files,
     field,
     filler_model,
@@ -51,7 +50,7 @@ def external_graph(name: str, location: str) -> bytes:
     """Build a graph with an initializer that refers to another file."""
     entry = field(13, field(1, "location") + field(2, location))
     tensor = field(1, 4) + field(2, 1) + field(8, "weights") + entry + field(14, 1)
-    whole = filler_model(contracts(LEVEL_SPECS, 12, 137)[name.removesuffix(".onnx")])
+    whole = filler_model(manifest_for(bundle_files()).contracts[name.removesuffix(".onnx")])
     # A second `graph` field is merged into the first by every protobuf reader.
     return whole + field(7, field(5, tensor))
 

@@ -10,6 +10,7 @@ from typing import Any
 
 import pytest
 
+from kinegraph.bundle.contract import FRAME_FILES
 from kinegraph.bundle.manifest import Manifest, decode_manifest, encode_manifest
 from kinegraph.errors import BundleFormatError
 from support.manifests import ALL_PATHS, GOOD, changed, dotted, value_at
@@ -90,14 +91,57 @@ def test_the_coarse_decoders_are_optional_each_with_its_operators() -> None:
 
 def test_the_graphs_of_adaptive_gradient_descent_are_optional_all_together() -> None:
     value = copy.deepcopy(GOOD)
-    names = [name for name in value["files"] if name.endswith("_agd.onnx")]
+    names = [name for name in value["files"] if name.endswith("_agd.onnx") and not name.startswith("frames_")]
     assert len(names) == 6
     for name in names:
         with pytest.raises(BundleFormatError, match="all or none"):
             decode_manifest(sealed({**value, "files": {k: v for k, v in value["files"].items() if k != name}}))
     for part in ("files", "operators"):
         value[part] = {key: entry for key, entry in value[part].items() if key not in names}
-    assert not any(name.endswith("_agd") for name in decode_manifest(sealed(value)).contracts)
+    contracts = decode_manifest(sealed(value)).contracts
+    assert not any(name.endswith("_agd") for name in contracts if not name.startswith("frames_"))
+
+
+def test_skeleton_space_is_optional_all_together() -> None:
+    value = copy.deepcopy(GOOD)
+    names = [name for name in value["files"] if name.startswith("frames_")]
+    assert len(names) == 5 and set(names) == FRAME_FILES
+    for name in names:
+        with pytest.raises(BundleFormatError, match=f"lacks .*{name}"):
+            decode_manifest(sealed({**value, "files": {k: v for k, v in value["files"].items() if k != name}}))
+    part = value.pop("frames_part")
+    with pytest.raises(BundleFormatError, match="frames_part would describe"):
+        decode_manifest(sealed(value))
+    for key in ("files", "operators"):
+        value[key] = {name: entry for name, entry in value[key].items() if name not in names}
+    without = decode_manifest(sealed(value))
+    assert without.frames_part is None and not any(name.startswith("frames_") for name in without.contracts)
+    assert b"frames_part" not in encode_manifest(without)
+    with pytest.raises(BundleFormatError, match="lacks"):
+        decode_manifest(sealed({**value, "frames_part": part}))
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"per_token": 0}, "per_token must be 1"),
+        ({"per_token": 3}, "latent_width must be 3 x 137"),
+        ({"scale": 0.0}, "scale must be above 0"),
+        ({"steps": 21}, "steps"),
+        ({"guidance": 21.0}, "guidance must be 0 to 20"),
+        ({"prediction": "noise"}, "prediction must be one of"),
+        ({"level": {**GOOD["frames_part"]["level"], "tokens": 5}}, "tokens must be enough for 24 frames"),
+        ({"level": {**GOOD["frames_part"]["level"], "heads": 3}}, "heads must divide 8"),
+        ({"level": {**GOOD["frames_part"]["level"], "layers": 10**9}}, "layers must be 1 to"),
+        ({"level": {**GOOD["frames_part"]["level"], "nodes": []}}, "nodes must not be empty"),
+        ({"level": None}, "level"),
+    ],
+)
+def test_what_skeleton_space_cannot_be(change: dict[str, object], message: str) -> None:
+    value = copy.deepcopy(GOOD)
+    value["frames_part"] |= change
+    with pytest.raises(BundleFormatError, match=message):
+        decode_manifest(sealed(value))
 
 
 def test_the_gradients_of_decoders_are_optional_all_together_and_need_their_decoders() -> None:

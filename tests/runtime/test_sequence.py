@@ -102,7 +102,7 @@ def test_an_unknown_method_is_refused_and_so_is_a_bundle_that_cannot_continue(
 ) -> None:
     texts = ["a person walks", "a person bows"]
     for method in ("cut", None, 3):
-        with pytest.raises(InvalidInputError, match="method must be one of blend, continue"):
+        with pytest.raises(InvalidInputError, match="method must be one of blend, continue, energy"):
             toy.sequence(texts, method=method, **FEW)  # type: ignore[arg-type]
     bare = toy.with_sessions(dataclasses.replace(toy.sampler.sessions, decoder_gradients={}))
     with pytest.raises(InvalidInputError, match="no gradients of its decoders"):

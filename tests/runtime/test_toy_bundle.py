@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from kinegraph import MotionPipeline
-from kinegraph.bundle.contract import GRAPHS, OPTIONAL_GRAPHS
+from kinegraph.bundle.contract import FRAME_GRAPHS, GRAPHS, OPTIONAL_GRAPHS
 from kinegraph.bundle.reader import read_bundle
 from kinegraph.motion.skeleton import JOINT_INDEX
 from support.toy import PARSER_FILES, TOY_BUNDLE
@@ -21,7 +21,7 @@ def test_it_is_small_and_has_every_graph_in_float32() -> None:
     assert sum(path.stat().st_size for path in TOY_BUNDLE.iterdir()) <= MOST_BYTES
     assert manifest.precision == "fp32" and not set(PARSER_FILES) & set(manifest.files)
     graphs = {name.removesuffix(".onnx") for name in manifest.files if name.endswith(".onnx")}
-    assert graphs == {*GRAPHS, *OPTIONAL_GRAPHS}
+    assert graphs == {*GRAPHS, *OPTIONAL_GRAPHS, *FRAME_GRAPHS}
 
 
 def test_its_parser_is_that_of_the_default_bundle(toy_bundle: Path) -> None:

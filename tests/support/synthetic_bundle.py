@@ -16,6 +16,7 @@ import numpy as np
 
 from kinegraph.bundle.contract import (
     FORMAT_VERSION,
+    FRAME_FILES,
     LEVELS,
     NODE_KINDS,
     GraphContract,
@@ -23,6 +24,7 @@ from kinegraph.bundle.contract import (
     TensorSpec,
     contracts,
 )
+from kinegraph.bundle.frames_part import FramesPart, frame_contracts
 from kinegraph.bundle.manifest import (
     Defaults,
     FeatureSpec,
@@ -46,6 +48,7 @@ LEVEL_SPECS = {
     name: LevelSpec(tokens, 3, 8, 2, 2, NODE_KINDS[: index + 1])
     for index, (name, tokens) in enumerate(zip(LEVELS, (1, 2, 4), strict=True))
 }
+FRAMES_PART = FramesPart(LevelSpec(49, 4 * 137, 8, 2, 2, NODE_KINDS), 4, 0.5, 5, 2.5, "clean")
 FILLER_OPERATORS = ("ai.onnx::Cast", "ai.onnx::ConstantOfShape", "ai.onnx::Unique")
 
 
@@ -107,6 +110,8 @@ def tables_npz(**changes: np.ndarray) -> bytes:
 def bundle_files(version: int = FORMAT_VERSION) -> dict[str, bytes]:
     """Build the content of every file of the synthetic bundle but the manifest."""
     graphs = contracts(LEVEL_SPECS, TEXT_WIDTH, 137, version)
+    if version == FORMAT_VERSION:
+        graphs |= frame_contracts(FRAMES_PART.level, TEXT_WIDTH)
     files = {contract.file: filler_model(contract) for contract in graphs.values()}
     files["tokenizer.json"] = b'{"version": "1.0"}'
     files["parser.bin"] = bytes(range(256)) * 2
@@ -138,6 +143,7 @@ def manifest_for(files: Mapping[str, bytes], version: int = FORMAT_VERSION) -> M
         parity={"decoder": 1e-6},
         training={"steps": 10, "rate": 1e-3, "data": "none"},
         quality={"jerk": 1.25},
+        frames_part=FRAMES_PART if set(files) >= FRAME_FILES else None,
     )
 
 

@@ -1,4 +1,4 @@
-"""Make the toy bundle: synthetic motion, three autoencoders and denoisers of the preset `toy.toml`, in float32.
+"""Make the toy bundle: synthetic motion, all networks of the preset `toy.toml`, in float32.
 
     python tests/toy_bundle/make.py --work WORK_FOLDER --out tests/toy_bundle/bundle
 
@@ -26,9 +26,10 @@ from kinegraph.bundle.contract import LEVELS, PADDING_BIAS
 from kinegraph.bundle.manifest import Licence, Manifest, decode_manifest, encode_manifest
 from kinegraph.bundle.reader import text_files_folder
 from kinegraph.motion.features import HEIGHT
+from kinegraph_export.add_frames import add_frames
 from kinegraph_export.export_bundle import BundleCard, export_bundle
 from kinegraph_export.onnx_export import round_weights, serialise, store_float16, to_onnx
-from kinegraph_training import train_denoisers, train_vae
+from kinegraph_training import train_denoisers, train_frames, train_vae
 from kinegraph_training.data.folder import PreparedClip, write_data
 from kinegraph_training.losses import kl_divergence, masked_mean
 from kinegraph_training.models.transformer import EncoderLayer
@@ -195,6 +196,7 @@ def train(work: Path) -> None:
     for level in LEVELS:
         train_vae.main(["--level", level, *common, *lightning])
     train_denoisers.main(["--assets", str(work / "assets"), *common, *lightning])
+    train_frames.main(["--assets", str(work / "assets"), *common, *lightning])
 
 
 def keep_graphs(bundle: Path) -> Manifest:
@@ -220,6 +222,7 @@ def main() -> None:
     write_clips(arguments.work / "data")
     train(arguments.work)
     export_bundle(arguments.work / "run", arguments.work / "assets", CARD, arguments.out, "fp32")
+    add_frames(arguments.out, arguments.work / "run", steps=5, guidance=2.0)
     manifest = keep_graphs(arguments.out)
     size = sum(entry.bytes for entry in manifest.files.values())
     print(f"{size / 1e6:.2f} MB in {arguments.out}, pipeline {manifest.parity['pipeline_mm']:.3f} mm from torch")

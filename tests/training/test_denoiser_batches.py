@@ -26,10 +26,10 @@ from kinegraph_training.denoiser_batches import (
     DenoiserBatches,
     drop_nodes,
 )
+from kinegraph_training.denoiser_module import DenoiserModule, HideLate, squared_error
 from kinegraph_training.latents import Latents
 from kinegraph_training.models.denoiser import DenoiserConfig, LatentShape
 from kinegraph_training.models.graph_encoder import GraphEncoder
-from kinegraph_training.train_denoisers import DenoiserModule, HideLate, squared_error
 
 WIDTH = 12
 SHAPES = {"motion": (2, 4), "action": (3, 4), "specific": (4, 4)}

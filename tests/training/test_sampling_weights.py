@@ -11,7 +11,7 @@ pytest.importorskip("torch")
 
 from kinegraph_training.config import DataConfig
 from kinegraph_training.data.clips import MotionClip
-from kinegraph_training.train_denoisers import sampling_weights
+from kinegraph_training.denoiser_data import sampling_weights
 
 JOINTS = np.zeros((2, 22, 3), dtype=np.float32)
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import tomllib
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -81,6 +81,28 @@ class OptimiserConfig:
 
 
 @dataclass(frozen=True)
+class FrameConfig:
+    """Shape of the skeleton-space denoiser, where it differs from the latent denoisers."""
+
+    frames_per_token: int = 4
+    scale: float = 0.5
+    """Factor of the normalised features. Neighbouring features and frames tell the same, so noise that would drown each
+    of them leaves the whole to be seen; smaller values are drowned earlier (Chen, "On the Importance of Noise
+    Scheduling for Diffusion Models", 2023)."""
+    width: int | None = None
+    """This and all that follow: None is that of the latent denoisers."""
+    layers: int | None = None
+    heads: int | None = None
+    feed_forward: int | None = None
+
+    def denoiser(self, base: DenoiserConfig) -> DenoiserConfig:
+        """Make the configuration of the network; it sees all nodes, as the finest level does."""
+        sizes = {name: getattr(self, name) for name in ("width", "layers", "heads", "feed_forward")}
+        given = {name: size for name, size in sizes.items() if size is not None}
+        return replace(base, kind="frames", nodes_seen="all", levels=LEVELS[-1:], **given)
+
+
+@dataclass(frozen=True)
 class Preset:
     """Everything that one model needs to be trained and exported."""
 
@@ -91,6 +113,8 @@ class Preset:
     vae_training: dict[str, OptimiserConfig]
     denoiser: DenoiserConfig
     denoiser_training: OptimiserConfig
+    frames: FrameConfig
+    frames_training: OptimiserConfig
 
 
 def parse_table(kind: type[T], table: dict[str, Any], where: str) -> T:
@@ -124,6 +148,10 @@ def read_preset(name_or_path: str) -> Preset:
         },
         denoiser=parse_table(DenoiserConfig, table["denoiser"], "denoiser"),
         denoiser_training=parse_table(OptimiserConfig, table["denoiser_training"], "denoiser_training"),
+        frames=parse_table(FrameConfig, table.get("frames", {}), "frames"),
+        frames_training=parse_table(
+            OptimiserConfig, table["denoiser_training"] | table.get("frames_training", {}), "frames_training"
+        ),
     )
 
 

@@ -11,191 +11,40 @@ command resumes a stopped run. Further flags are those of `lightning.Trainer`: `
 from __future__ import annotations
 
 import argparse
-from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import chain
 from pathlib import Path
 from typing import Any
 
 import lightning as L
-import numpy as np
 import torch
-from torch import Tensor
 from torch.utils.data import DataLoader, WeightedRandomSampler
 
 from kinegraph.arrays import FloatArray
-from kinegraph.bundle.contract import KINDS, LEVELS, PADDING_BIAS
+from kinegraph.bundle.contract import LEVELS
 from kinegraph.bundle.tables import BONE_LENGTHS, DURATION
-from kinegraph.diffusion.sampling import NoiseSchedule
-from kinegraph.errors import InvalidInputError
 from kinegraph_training.bundle_tables import common_bone_lengths, fit_duration, write_tables
 from kinegraph_training.checkpoints import fit
-from kinegraph_training.config import DataConfig, OptimiserConfig, Preset, read_preset
-from kinegraph_training.data.caption_cache import CaptionGraphs, CaptionStates, encode_graphs, encode_states
-from kinegraph_training.data.clips import MotionClip, read_ids, without_motion
+from kinegraph_training.config import Preset, read_preset
+from kinegraph_training.data.caption_cache import CaptionGraphs, CaptionStates
+from kinegraph_training.data.clips import read_ids, without_motion
 from kinegraph_training.data.shown_captions import write_shown_captions
-from kinegraph_training.dataset import Dataset, drop_long_clips, training_set, validation_set
-from kinegraph_training.denoiser_batches import DenoiserBatch, DenoiserBatches
-from kinegraph_training.latents import Latents, encode_clips, encode_levels, read_vae
-from kinegraph_training.layouts import FeatureLayout, layout_of
-from kinegraph_training.losses import SPECTRAL_TIMESTEPS, SPECTRAL_WEIGHT, SpectralMotionLoss, denoise
-from kinegraph_training.models.denoiser import DenoiserConfig, LatentShape
-from kinegraph_training.models.hierarchy import Hierarchy
-from kinegraph_training.trainer import (
-    add_common_arguments,
-    configure_optimiser,
-    lightning_flags,
-    load_start_weights,
-    make_trainer,
+from kinegraph_training.dataset import Dataset
+from kinegraph_training.denoiser_batches import DenoiserBatches
+from kinegraph_training.denoiser_data import (
+    BATCHES_PER_EPOCH,
+    EncodedCaptions,
+    Splits,
+    encode_captions,
+    load_clips,
+    sampling_weights,
 )
-
-BATCHES_PER_EPOCH = 200
-
-
-def squared_error(predicted: Tensor, noise: Tensor) -> Tensor:
-    """Compute |eps - eps'|^2 of (b, c, z), averaged per sample: (b,)."""
-    return (predicted - noise).square().mean(dim=(1, 2))
-
-
-class HideLate(L.Callback):
-    """Callback that hides nodes of the graph, and verbs, only in the last part of a run."""
-
-    def __init__(self, batches: DenoiserBatches, first_step: float) -> None:
-        self.batches, self.first_step = batches, first_step
-
-    def on_train_batch_start(self, trainer: L.Trainer, module: L.LightningModule, batch: Any, index: int) -> None:
-        self.batches.hiding = trainer.global_step >= self.first_step
-
-
-class DenoiserModule(L.LightningModule):
-    """Graph encoder and denoisers with their loss.
-
-    The loss is the sum over levels of |eps - phi(z_t, t, graph, coarser latent)|^2 (GraphMotion, Eq. 6), and
-    `SpectralMotionLoss` at the finest level.
-    """
-
-    def __init__(
-        self,
-        config: DenoiserConfig,
-        training: OptimiserConfig,
-        latents: dict[str, LatentShape],
-        statistics: dict[str, tuple[Tensor, Tensor]],
-        spectral_loss: SpectralMotionLoss | None = None,
-    ) -> None:
-        super().__init__()
-        self.spectral_loss = spectral_loss
-        shapes = {level: vars(shape) for level, shape in latents.items()}
-        self.save_hyperparameters({"config": vars(config), "training": vars(training), "latents": shapes})
-        self.hierarchy = Hierarchy(config, latents)
-        self.training_config = training
-        alphas = torch.tensor(NoiseSchedule(train_steps=config.train_steps).alphas_cumprod, dtype=torch.float32)
-        self.register_buffer("alphas", alphas)
-        for level, (centre, scale) in statistics.items():
-            self.register_buffer(f"{level}_centre", centre)
-            self.register_buffer(f"{level}_scale", scale)
-
-    def predict_noise(self, level: str, nodes: Tensor, batch: DenoiserBatch, timestep: Tensor, noise: Tensor) -> Tensor:
-        """Mix noise into the latents of one level, and predict it.
-
-        Args:
-            level: name of the level.
-            nodes: (b, n, D) of the graph encoder.
-            batch: latents, graphs and what is hidden.
-            timestep: t, (b,).
-            noise: eps, (b, c, z).
-
-        Returns:
-            eps', (b, c, z).
-        """
-        denoiser = self.hierarchy.levels[level]
-        # z_t = sqrt(alpha_t) z_0 + sqrt(1 - alpha_t) eps
-        alpha = self.alphas[timestep][:, None, None]
-        noisy = alpha.sqrt() * batch.latents[level] + (1 - alpha).sqrt() * noise
-        coarse = batch.coarse.get(level)
-        bias = self.context_bias(level, batch)
-        context = denoiser.context(nodes, batch.graph.kind, batch.graph.order, bias, coarse)
-        modulation = denoiser.clock(timestep, batch.frames)
-        predicted: Tensor = denoiser.step(noisy, modulation, context, bias[:, None, None, :]).float()
-        return predicted
-
-    def context_bias(self, level: str, batch: DenoiserBatch) -> Tensor:
-        """Compute the bias (b, s) of the context tokens: PADDING_BIAS on what is hidden or not seen at this level."""
-        names = self.hierarchy.config.kinds_seen(level)
-        kind = batch.graph.kind
-        seen = torch.isin(kind, torch.tensor([KINDS[name] for name in (*names, "null", "partial")], device=kind.device))
-        bias = torch.where(seen, batch.node_bias, torch.full_like(batch.node_bias, PADDING_BIAS))
-        # A level that sees the motion node alone always sees it: with nothing to attend to, it would see the padding.
-        if names == ("motion",):
-            bias = torch.where(kind == KINDS["motion"], torch.zeros_like(bias), bias)
-        coarse = batch.coarse.get(level)
-        if coarse is None:
-            return bias
-        return torch.cat([bias, batch.coarse_bias[:, None].expand(-1, coarse.shape[1])], dim=1)
-
-    def losses(self, batch: DenoiserBatch, generator: torch.Generator | None = None) -> dict[str, Tensor]:
-        """Compute the loss of every level, (b,), and under "swing" the spectral loss, one number.
-
-        Timesteps are stratified over the batch: each of its b equal parts of the schedule gives one.
-        """
-        nodes = self.hierarchy.encode(batch.graph)
-        count = len(batch.frames)
-        spectral = self.global_step >= self.training_config.spectral_from * self.training_config.steps
-        terms = {}
-        for level in self.hierarchy.latents:
-            part = (torch.randperm(count, generator=generator) + torch.rand(count, generator=generator)) / count
-            timestep = (part * len(self.alphas)).long().clamp(max=len(self.alphas) - 1).to(self.device)
-            noise = torch.randn(batch.latents[level].shape, generator=generator).to(self.device)
-            predicted = self.predict_noise(level, nodes, batch, timestep, noise)
-            terms[level] = squared_error(predicted, noise)
-            clear = timestep < SPECTRAL_TIMESTEPS * len(self.alphas)
-            if self.spectral_loss is not None and spectral and level == LEVELS[-1] and clear.any():
-                alpha = self.alphas[timestep[clear]][:, None, None]
-                target = batch.latents[level][clear]
-                clean = denoise(target, noise[clear], predicted[clear], alpha)
-                difference = self.spectral_loss(clean, target, batch.frames[clear])
-                # The mean over the clear samples stands for their share of the batch.
-                terms["swing"] = SPECTRAL_WEIGHT * SPECTRAL_TIMESTEPS * difference
-        return terms
-
-    def training_step(self, batch: DenoiserBatch, index: int) -> Tensor:
-        terms = {level: value.mean() for level, value in self.losses(batch).items()}
-        loss = torch.stack(list(terms.values())).sum()
-        self.log_dict({f"train/{level}": value for level, value in terms.items()}, batch_size=len(batch.frames))
-        self.log("loss", loss, prog_bar=True, logger=False, batch_size=len(batch.frames))
-        return loss
-
-    def validation_step(self, batch: DenoiserBatch, index: int) -> None:
-        """Log the losses with and without text, on the same noise: their difference is what the text is worth."""
-        for name, variant in (("", batch), ("_without_text", batch.without_text())):
-            generator = torch.Generator().manual_seed(index)
-            for level, value in self.losses(variant, generator).items():
-                self.log(f"val/{level}{name}", value.mean(), batch_size=len(batch.frames), on_epoch=True)
-
-    def transfer_batch_to_device(
-        self, batch: DenoiserBatch, device: torch.device, dataloader_idx: int
-    ) -> DenoiserBatch:
-        return batch.to(device)
-
-    def configure_optimizers(self) -> Any:
-        return configure_optimiser(self.hierarchy, self.training_config, str(self.trainer.precision))
-
-
-@dataclass(frozen=True)
-class Splits:
-    """Clips of training and of validation."""
-
-    train: Dataset
-    val: Dataset
-
-
-@dataclass(frozen=True)
-class EncodedCaptions:
-    """Captions of all clips as the denoisers attend to them."""
-
-    graphs: CaptionGraphs | CaptionStates
-    masked: CaptionGraphs | None
-    """Captions of training with their verbs masked; None for a model without a graph, or that masks none."""
+from kinegraph_training.denoiser_module import DenoiserModule, HideLate
+from kinegraph_training.latents import Latents, encode_clips, encode_levels, read_vae
+from kinegraph_training.layouts import layout_of
+from kinegraph_training.losses import SpectralMotionLoss
+from kinegraph_training.models.denoiser import LatentShape
+from kinegraph_training.trainer import add_common_arguments, lightning_flags, load_start_weights, make_trainer
 
 
 @dataclass(frozen=True)
@@ -205,44 +54,6 @@ class EncodedClips:
     train: dict[str, Latents]
     val: dict[str, Latents]
     """Under the standardisation of training."""
-
-
-def load_clips(arguments: argparse.Namespace, config: DataConfig, layout: FeatureLayout) -> Splits:
-    """Load captured and synthetic clips of training, and captured ones of validation."""
-    everything = training_set(arguments.data, config, arguments.held_out, arguments.more, layout=layout)
-    train = drop_long_clips(everything, config.max_frames)
-    dropped = len(everything.clips) - len(train.clips)
-    if not train.clips:
-        raise InvalidInputError(f"all clips of {arguments.data} are longer than {config.max_frames} frames; cut them")
-    if dropped:
-        print(f"left out: {dropped} of {len(everything.clips)} clips, longer than {config.max_frames} frames")
-    return Splits(train, validation_set(arguments.data, "val", config, train.mean, train.std))
-
-
-def encode_captions(
-    clips: Splits, condition: str, assets: Path, run: Path, *, verb_masking: bool = True
-) -> EncodedCaptions:
-    """Encode all captions, or read them back from the run's caches.
-
-    Args:
-        clips: with their captions.
-        condition: of `DenoiserConfig`.
-        assets: folder of the text files.
-        run: folder of the caches `captions.npz` and `captions_masked.npz`, or `states.npz`.
-        verb_masking: encode every caption with its verbs masked too.
-    """
-    train, val = (
-        dict.fromkeys(
-            caption for clip in without_motion(split.clips) for caption in (*clip.captions, *clip.partial_captions)
-        )
-        for split in (clips.train, clips.val)
-    )
-    if condition == "tokens":
-        return EncodedCaptions(encode_states(chain(train, val), assets, run / "states.npz"), None)
-    graphs = encode_graphs(chain(train, val), assets, run / "captions.npz")
-    if not verb_masking:
-        return EncodedCaptions(graphs, None)
-    return EncodedCaptions(graphs, encode_graphs(train, assets, run / "captions_masked.npz", verbs_masked=True))
 
 
 def measure_tables(train: Dataset, graphs: CaptionGraphs | CaptionStates) -> dict[str, FloatArray]:
@@ -274,32 +85,6 @@ def encode_latents(clips: Splits, levels: Sequence[str], run: Path) -> EncodedCl
         posterior = encode_clips(read_vae(run / f"vae_{level}" / "last.ckpt"), clips.val)
         val[level] = Latents(*posterior, latents.centre, latents.scale)
     return EncodedClips(train, val)
-
-
-def sampling_weights(clips: Iterable[MotionClip], config: DataConfig) -> np.ndarray:
-    """Compute how often each clip is drawn, (clips,), by what made it and by what it shows.
-
-    What made a clip has the share of `DataConfig.draws`. Within it, an action in a style has a share by a power of its
-    number of clips, and no action has more than `label_cap`: what it has too much is shared by the others.
-    """
-    told = [(clip.made_by, clip.action, clip.style, clip.action or clip.id) for clip in clips]
-    kinds = np.array([made_by for made_by, *_ in told])
-    groups = Counter(group[:3] for group in told)
-    power = config.label_power - 1.0
-    weights = np.array([groups[group[:3]] ** power for group in told])
-    often = tuple(config.often)
-    weights *= [config.often_weight if often and action.startswith(often) else 1.0 for _, action, *_ in told]
-    shares = {kind: config.draws.get(kind, float(np.mean(kinds == kind))) for kind in set(kinds.tolist())}
-    shares[""] = max(1.0 - sum(share for kind, share in shares.items() if kind), 0.0)
-    for kind, share in shares.items():
-        of_kind = kinds == kind
-        weights[of_kind] *= share / max(weights[of_kind].sum(), 1e-12)
-    labels, index = np.unique([label for *_, label in told], return_inverse=True)
-    for _ in range(10):  # capping one action lifts the others, which may pass the cap then
-        totals = np.bincount(index, weights, len(labels))
-        weights *= np.minimum(1.0, config.label_cap / totals.clip(min=1e-12))[index]
-        weights /= weights.sum()
-    return weights
 
 
 def make_loaders(

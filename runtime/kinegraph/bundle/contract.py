@@ -48,9 +48,25 @@ AGD_CONTEXTS: Final[Mapping[str, str]] = {level: f"context_{level}_agd" for leve
 AGD_DENOISERS: Final[Mapping[str, str]] = {level: f"denoiser_{level}_agd" for level in LEVELS}
 """Level -> denoiser with adaptive gradient descent (EnergyMoGen, Eq. 3, 4); a bundle has all `*_agd` graphs or none."""
 
+FRAMES: Final = "frames"
+"""Name of the only level of skeleton space (`frames_part`), in options, progress and checkpoints."""
+FRAMES_DENOISER: Final = f"{FRAMES}_denoiser"
+FRAMES_CONTEXT_AGD: Final = f"{FRAMES}_context_agd"
+FRAMES_DENOISER_AGD: Final = f"{FRAMES}_denoiser_agd"
+FRAME_GRAPHS: Final = (
+    f"{FRAMES}_context",
+    f"{FRAMES}_modulation",
+    FRAMES_DENOISER,
+    FRAMES_CONTEXT_AGD,
+    FRAMES_DENOISER_AGD,
+)
+"""Names of the graphs of skeleton space; a bundle has all or none. Each is read at its first use."""
+FRAME_FILES: Final = frozenset(f"{graph}.onnx" for graph in FRAME_GRAPHS)
+
 WEIGHT_SOURCES: Final[Mapping[str, str]] = {
     **{name: name.removesuffix("_vjp") for name in DECODER_GRADIENTS.values()},
     **{name: f"denoiser_{level}" for level, name in AGD_DENOISERS.items()},
+    FRAMES_DENOISER_AGD: FRAMES_DENOISER,
 }
 """Graph -> graph whose file has the weights that its own file lacks (`onnx_inspect.with_initializers`)."""
 
@@ -427,8 +443,10 @@ def optional_graph_files(version: int = FORMAT_VERSION, family: Family = "kinegr
     - Without the coarse decoders it shows no clip before the last level is done.
     - Without the graphs of adaptive gradient descent it refuses to compose with `agd`.
     - Without the gradients of the decoders it refuses constraints; without the encoder, edits of clips.
+    - Without the graphs of skeleton space it refuses `space="frames"`.
     """
-    return frozenset(graph_file(graph, version) for graph in optional_graphs_of(family))
+    in_frames = FRAME_FILES if family == "kinegraph" and version == FORMAT_VERSION else frozenset()
+    return in_frames.union(graph_file(graph, version) for graph in optional_graphs_of(family))
 
 
 def agd_files(version: int = FORMAT_VERSION) -> frozenset[str]:

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from typing import Final, Literal
 
 from kinegraph.bundle.contract import CONTEXT_MIXING_VERSION, Family, GraphContract, LevelSpec, contracts
+from kinegraph.bundle.frames_part import FramesPart, frame_contracts
 from kinegraph.bundle.manifest_validation import check_manifest, check_version
 from kinegraph.bundle.released_contract import released_contracts
 from kinegraph.bundle.strict_json import decode, parse_object, to_plain
@@ -158,6 +159,8 @@ class Manifest:
     """Measured quality, by metric."""
     family: Family = "kinegraph"
     """Whose networks they are; says which graphs the bundle has, and what they take."""
+    frames_part: FramesPart | None = None
+    """Skeleton space; None if the bundle has no graphs of it."""
 
     def __post_init__(self) -> None:
         check_manifest(self)
@@ -168,6 +171,8 @@ class Manifest:
         sizes = (self.levels, self.text.width, len(self.features.mean))
         if self.family == "kinegraph":
             declared = contracts(*sizes, self.format_version)
+            if self.frames_part is not None:
+                declared |= frame_contracts(self.frames_part.level, self.text.width)
         else:
             declared = released_contracts(self.family, *sizes)
         return {name: contract for name, contract in declared.items() if contract.file in self.files}

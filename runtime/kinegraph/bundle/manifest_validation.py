@@ -10,6 +10,7 @@ from kinegraph.bundle.contract import (
     COARSE_DECODERS,
     CONTEXT_MIXING_VERSION,
     FORMAT_VERSION,
+    FRAME_FILES,
     NODE_KINDS,
     OLDEST_VERSION,
     OPTIONAL_TABLES,
@@ -22,6 +23,7 @@ from kinegraph.bundle.contract import (
     levels_of,
     optional_graph_files,
 )
+from kinegraph.bundle.frames_part import find_faults
 from kinegraph.bundle.released_contract import SLOTS
 from kinegraph.errors import BundleFormatError, InvalidInputError
 from kinegraph.graph import ROLES
@@ -59,6 +61,7 @@ def check_manifest(manifest: Manifest) -> None:
         for name, level in manifest.levels.items():
             _require(set(level.nodes) <= set(SLOTS), f"levels.{name}.nodes", f"must be some of {list(SLOTS)}")
     _check_schedule(manifest)
+    _check_frames_part(manifest)
     _check_files(manifest)
 
 
@@ -198,6 +201,20 @@ def _check_schedule(manifest: Manifest) -> None:
         "defaults.seconds",
         f"must be {frames.min / fps:g} to {frames.max / fps:g}, found {defaults.seconds}",
     )
+
+
+def _check_frames_part(manifest: Manifest) -> None:
+    part, present = manifest.frames_part, FRAME_FILES & set(manifest.files)
+    if part is None:
+        _require(not present, "files", f"has {sorted(present)}, which the key frames_part would describe")
+        return
+    _require(present == FRAME_FILES, "files", f"lacks {sorted(FRAME_FILES - present)}, which frames_part describes")
+    for key, message in find_faults(part, len(manifest.features.mean), manifest.frames.max, MAX_DIMS):
+        raise BundleFormatError(f"manifest.json: frames_part.{key} {message}")
+    try:
+        manifest.schedule.noise.timesteps(part.steps)
+    except InvalidInputError as error:
+        raise BundleFormatError(f"manifest.json: frames_part.steps: {error}") from error
 
 
 def _check_files(manifest: Manifest) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import threading
 from collections.abc import Callable, Mapping, MutableMapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from types import MappingProxyType
 from typing import Any, Final
 
@@ -20,6 +20,7 @@ from kinegraph.bundle.contract import (
     COARSE_DECODERS,
     DECODER_GRADIENTS,
     ENCODER,
+    FRAME_GRAPHS,
     LEVELS,
     WEIGHT_SOURCES,
     GraphContract,
@@ -90,13 +91,15 @@ class Sessions:
     """Level -> vector-Jacobian product of its decoder; empty if the bundle has none."""
     encoder: LazySession | None
     """Encoder of the finest level; None if the bundle has none."""
+    frames: Mapping[str, LazySession] = field(default_factory=dict)
+    """Name of a graph -> session of skeleton space (`frames_part`); empty if the bundle has none."""
 
     @property
     def lazy(self) -> tuple[LazySession, ...]:
         """All sessions that are opened at their first use."""
         by_level = (self.coarse_decoders, self.context_agd, self.denoiser_agd, self.decoder_gradients)
         of_levels = [session for sessions in by_level for session in sessions.values()]
-        return (*of_levels, *([] if self.encoder is None else [self.encoder]))
+        return (*of_levels, *([] if self.encoder is None else [self.encoder]), *self.frames.values())
 
     def decoder_of(self, level: str) -> onnxruntime.InferenceSession:
         """Return the decoder of a level; the bundle must have one."""
@@ -190,6 +193,7 @@ def open_sessions(
         denoiser_agd=lazy(AGD_DENOISERS, narrow),
         decoder_gradients=lazy(DECODER_GRADIENTS, wide),
         encoder=lazy({LEVELS[-1]: ENCODER}, wide).get(LEVELS[-1]),
+        frames=lazy({graph: graph for graph in FRAME_GRAPHS}, narrow),
     )
 
 

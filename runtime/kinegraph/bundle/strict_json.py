@@ -53,7 +53,7 @@ def decode(kind: type[T], value: object, where: str) -> T:
 
     Supported are dataclasses, `tuple[X, ...]`, `Mapping[str, X]`, `Literal`, unions of scalars, str, int and float.
     An int is also a float, a bool is neither. Numbers must be finite and strings printable. Keys of fields that have a
-    default may be missing: older files do not know them.
+    default may be missing: older files do not know them. None is written as a missing key, and never read.
 
     Args:
         kind: the type.
@@ -70,6 +70,8 @@ def _decode(kind: Any, value: object, where: str) -> object:
     origin = get_origin(kind)
     if dataclasses.is_dataclass(kind):
         return _decode_record(kind, value, where)
+    if origin is types.UnionType and dataclasses.is_dataclass(get_args(kind)[0]):
+        return _decode_record(get_args(kind)[0], value, where)
     if origin is tuple:
         items = _expect(list, value, where)
         return tuple(_decode(get_args(kind)[0], item, f"{where}[{index}]") for index, item in enumerate(items))
@@ -142,7 +144,8 @@ def _kind(value: object) -> str:
 def to_plain(value: object) -> Any:
     """Convert dataclasses, tuples and mappings to the dicts and lists of JSON: the reverse of `decode`."""
     if dataclasses.is_dataclass(value):
-        return {field.name: to_plain(getattr(value, field.name)) for field in dataclasses.fields(value)}
+        fields = {field.name: getattr(value, field.name) for field in dataclasses.fields(value)}
+        return {name: to_plain(item) for name, item in fields.items() if item is not None}
     if isinstance(value, Mapping):
         return {key: to_plain(item) for key, item in value.items()}
     if isinstance(value, tuple):

@@ -27,13 +27,14 @@ from kinegraph.cli.arguments import (
     add_retarget,
     add_sequence,
     add_serve,
+    add_timeline,
     add_view,
 )
 from kinegraph.cli.batch import batch
 from kinegraph.cli.character import retarget
 from kinegraph.cli.console import one_line
 from kinegraph.cli.editing import edit, inbetween
-from kinegraph.cli.generate import compose, generate, sequence
+from kinegraph.cli.generate import compose, generate, sequence, timeline
 from kinegraph.cli.inspect import info, parse, run_bench, verify
 from kinegraph.cli.pages import play, serve, view
 from kinegraph.errors import Cancelled, KinegraphError
@@ -52,6 +53,7 @@ COMMANDS: Final[tuple[tuple[str, str, AddArguments, Run], ...]] = (
     ("generate", "make a clip from a sentence or a graph", add_generate, generate),
     ("compose", "make a clip of several motions at once, or without some", add_compose, compose),
     ("sequence", "make a clip of several sentences, one after another", add_sequence, sequence),
+    ("timeline", "make a clip of sentences that hold from one moment to another", add_timeline, timeline),
     ("edit", "keep a part of a saved clip, and make the rest anew", add_edit, edit),
     ("inbetween", "make the motion from one saved clip to another", add_inbetween, inbetween),
     ("batch", "make a clip of every row of a table, on all cores", add_batch, batch),

@@ -58,6 +58,7 @@ def add_generate(parser: argparse.ArgumentParser) -> None:
     _add_edits(parser)
     add_constraints(parser)
     _add_seconds(parser)
+    _add_space(parser)
     _add_sampling_and_output(parser)
 
 
@@ -95,6 +96,7 @@ def add_compose(parser: argparse.ArgumentParser) -> None:
     )
     add_constraints(parser)
     _add_seconds(parser)
+    _add_space(parser)
     _add_sampling_and_output(parser)
 
 
@@ -110,8 +112,24 @@ def add_sequence(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--method",
         default="blend",
-        help="blend parts where poses are alike (default), or continue: each begins in the last pose of the one before",
+        help="blend parts where poses are alike (default); continue: each begins in the last pose of the one before; "
+        "energy: all in one run of skeleton space, where the bundle has it",
     )
+    _add_sampling_and_output(parser)
+
+
+def add_timeline(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of `timeline`."""
+    parser.add_argument(
+        "file",
+        type=Path,
+        metavar="FILE",
+        help="text with a line for each interval: text # start # end # parts of the body",
+    )
+    parser.add_argument(
+        "--overlap", type=float, metavar="S", help="seconds that neighbours share in skeleton space; default 0.8"
+    )
+    _add_space(parser)
     _add_sampling_and_output(parser)
 
 
@@ -262,6 +280,15 @@ def _add_map(parser: argparse.ArgumentParser) -> None:
 
 def _add_seconds(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--seconds", type=float, metavar="S", help="length; default: the sentence decides")
+
+
+def _add_space(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--space",
+        default="latent",
+        metavar="NAME",
+        help="where clips are sampled: latent (default), or frames, skeleton space, where the bundle has it",
+    )
 
 
 def _add_sampling_and_output(parser: argparse.ArgumentParser) -> None:

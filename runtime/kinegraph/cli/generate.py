@@ -14,7 +14,7 @@ from kinegraph.cli.character import character_fps, check_character, load_charact
 from kinegraph.cli.console import Progress, as_json, one_line
 from kinegraph.cli.constraints import describe_misses, miss_records, parse_constraints
 from kinegraph.cli.inputs import apply_edits, load_pipeline, parse_concepts, read_text_or_graph, take_paths
-from kinegraph.errors import OutputError
+from kinegraph.errors import InvalidInputError, OutputError
 from kinegraph.unknown import describe_unknown
 
 # Modules that load numpy or onnxruntime are imported where they are used: `--help` must be instant.
@@ -67,6 +67,7 @@ def generate(args: argparse.Namespace) -> int:
             constraint_weight=args.constraint_weight,
             seconds=seconds,
             seed=sampling.seed,
+            space=args.space,
             on_step=on_step,
             **sampling.keywords,
         )
@@ -78,6 +79,8 @@ def compose(args: argparse.Namespace) -> int:
     """Run `kinegraph compose`: clips of several concepts, and a picture of their energies."""
     targets = check_targets(args)
     if args.energy is not None:
+        if args.space != "latent":
+            raise InvalidInputError("--energy draws latent space; leave out --space, or the picture")
         _check_picture_target(args.energy, targets, args.force)
     concepts = parse_concepts(args.positive, args.negated)
     constraints = parse_constraints(args)
@@ -95,6 +98,7 @@ def compose(args: argparse.Namespace) -> int:
                 constraint_weight=args.constraint_weight,
                 seconds=args.seconds,
                 seed=seed,
+                space=args.space,
                 on_step=on_step,
                 **sampling.keywords,
             )
@@ -134,6 +138,30 @@ def sequence(args: argparse.Namespace) -> int:
                 args.texts,
                 seconds=args.seconds,
                 method=args.method,
+                seed=seed,
+                on_step=on_step,
+                **sampling.keywords,
+            )
+
+        return make_one_by_one(make_clip, len(targets), sampling.seed, on_step)
+
+    return run_command(args, targets, make_clips)
+
+
+def timeline(args: argparse.Namespace) -> int:
+    """Run `kinegraph timeline`: read the file of intervals, and make its clips."""
+    from kinegraph.intervals import read_intervals
+
+    targets = check_targets(args)
+    intervals = read_intervals(args.file)
+    sampling = SamplingOptions.from_args(args)
+
+    def make_clips(pipeline: MotionPipeline, on_step: OnStep) -> list[Clip]:
+        def make_clip(seed: int | None, on_step: OnStep | None) -> Clip:
+            return pipeline.timeline(
+                intervals,
+                overlap=args.overlap,
+                space=args.space,
                 seed=seed,
                 on_step=on_step,
                 **sampling.keywords,

@@ -47,8 +47,8 @@ class DenoiserConfig:
     max_order: int = 16
     """Number of embeddings for the order of actions; later actions share the last."""
     kind: str = "cross"
-    """"cross": cross-attention to the conditions; "concat": one sequence with the latent, GraphMotion as published (for
-    comparison, cannot be exported)."""
+    """"cross": cross-attention to the conditions; "frames": the same on the motion features themselves; "concat": one
+    sequence with the latent, GraphMotion as published (for comparison, cannot be exported)."""
     condition: str = "graph"
     """Conditions: the semantic "graph", the "tokens" of the caption, or the "sentence" alone (as in MLD)."""
     reasoning: bool = True
@@ -65,7 +65,7 @@ class DenoiserConfig:
     def __post_init__(self) -> None:
         object.__setattr__(self, "levels", tuple(self.levels))
         choices = {
-            "kind": ("cross", "concat"),
+            "kind": ("cross", "frames", "concat"),
             "condition": ("graph", "tokens", "sentence"),
             "nodes_seen": ("level", "all"),
         }
@@ -259,7 +259,13 @@ class DenoiserLayer(nn.Module):
         self.dropout = nn.Dropout(config.dropout)
 
     def forward(
-        self, x: Tensor, modulation: Sequence[Tensor], pair: tuple[Any, ...], bias: Tensor, mixing: RowMixing | None
+        self,
+        x: Tensor,
+        modulation: Sequence[Tensor],
+        pair: tuple[Any, ...],
+        bias: Tensor,
+        mixing: RowMixing | None,
+        padding: Tensor | None = None,
     ) -> Tensor:
         """Run the layer on x (r, c, d).
 
@@ -269,9 +275,10 @@ class DenoiserLayer(nn.Module):
             pair: key and value of the context; with AGD, the context that the layer projects itself.
             bias: (a, 1, 1 or c, s) of the context.
             mixing: rows of a composition.
+            padding: bias of the self-attention, (r, 1, 1, c); None where all latent tokens are seen.
         """
         scale_self, shift_self, scale_cross, shift_cross, scale_feed, shift_feed = modulation
-        x = x + self.dropout(self.self_attention(self.norm(x, scale_self, shift_self), None))
+        x = x + self.dropout(self.self_attention(self.norm(x, scale_self, shift_self), padding))
         x = x + self.dropout(self.cross_attention(self.norm(x, scale_cross, shift_cross), *pair, bias, mixing))
         return x + self.dropout(self.feed(self.norm(x, scale_feed, shift_feed)))
 
@@ -285,6 +292,10 @@ class NoisePredictor(SkipStack):
         self.position = nn.Parameter(torch.randn(latent.tokens, config.width) * 0.02)
         self.noise_out = nn.Linear(config.width, latent.width)
 
+    def embed(self, latent: Tensor) -> Tensor:
+        """Embed latent tokens (r, c, z) at the width of the network, (r, c, d)."""
+        return self.latent_in(latent) + self.position
+
     def forward(  # type: ignore[override]
         self,
         latent: Tensor,
@@ -292,6 +303,7 @@ class NoisePredictor(SkipStack):
         context: Sequence[tuple[Any, ...]],
         bias: Tensor,
         mixing: RowMixing | None = None,
+        padding: Tensor | None = None,
     ) -> Tensor:
         """Predict the noise.
 
@@ -301,16 +313,17 @@ class NoisePredictor(SkipStack):
             context: per layer key and value (a, h, s, d/h).
             bias: (a, 1, 1 or c, s) of the context.
             mixing: rows of a composition.
+            padding: (r, 1, 1, c) bias that hides latent tokens from one another; None where all are seen.
 
         Returns:
             eps', (r, c, z).
         """
-        x = self.latent_in(latent) + self.position
+        x = self.embed(latent)
         rows = modulation.split(1, dim=1)
         skips: list[Tensor] = []
         for index, (layer, pair) in enumerate(zip(self.layers, context, strict=True)):
             layer_modulation = rows[MODULATIONS * index : MODULATIONS * (index + 1)]
-            x = layer(self.join(index, x, skips), layer_modulation, pair, bias, mixing)
+            x = layer(self.join(index, x, skips), layer_modulation, pair, bias, mixing, padding)
             if index < len(self.layers) // 2:
                 skips.append(x)
         return self.noise_out(self.norm(x))

@@ -8,6 +8,7 @@ from torch import Tensor, nn
 
 from kinegraph_training.models.concat_denoiser import ConcatDenoiser
 from kinegraph_training.models.denoiser import Denoiser, DenoiserConfig, LatentShape
+from kinegraph_training.models.frame_denoiser import FrameDenoiser
 from kinegraph_training.models.graph_encoder import GraphEncoder
 
 
@@ -37,7 +38,7 @@ class Hierarchy(nn.Module):
         self.config, self.latents = config, latents
         self.graph_encoder = GraphEncoder(config.text_width)
         shapes = list(latents.values())
-        kind = Denoiser if config.kind == "cross" else ConcatDenoiser
+        kind = {"cross": Denoiser, "frames": FrameDenoiser, "concat": ConcatDenoiser}[config.kind]
         self.levels = nn.ModuleDict(
             {
                 level: kind(config, shape, shapes[index - 1] if index else None)

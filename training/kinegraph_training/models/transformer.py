@@ -83,26 +83,24 @@ class EncoderLayer(nn.Module):
 
 
 class SkipStack(nn.Module):
-    """Stack of an odd number of layers with long skip connections, as in MLD.
+    """Stack of layers with long skip connections, as in MLD.
 
-    Of 2k + 1 layers, each of the last k reads the output of the layer before it beside that of its mirror image among
-    the first k, projected from 2d to d.
+    Of 2k or 2k + 1 layers, each of the last k reads the output of the layer before it beside that of its mirror image
+    among the first k, projected from 2d to d.
     """
 
     def __init__(self, layers: list[nn.Module], width: int) -> None:
         super().__init__()
-        if len(layers) % 2 == 0:
-            raise ValueError(f"a skip stack needs an odd number of layers, not {len(layers)}")
         self.layers = nn.ModuleList(layers)
         self.joins = nn.ModuleList(nn.Linear(2 * width, width) for _ in range(len(layers) // 2))
         self.norm = nn.LayerNorm(width)
 
     def join(self, index: int, x: Tensor, skips: list[Tensor]) -> Tensor:
         """Compute the input of layer `index` from the output before it and the outputs of the first half, a stack."""
-        half = len(self.layers) // 2
-        if index <= half:
+        first = len(self.layers) - len(self.joins)
+        if index < first:
             return x
-        return self.joins[index - half - 1](torch.cat([x, skips.pop()], dim=-1))
+        return self.joins[index - first](torch.cat([x, skips.pop()], dim=-1))
 
     def forward(self, x: Tensor, bias: Tensor | None) -> Tensor:
         skips: list[Tensor] = []

@@ -1,0 +1,253 @@
+"""Add skeleton space to a bundle: the graphs of a denoiser of frames (EnergyMoGen, appendix A and B).
+
+    python -m kinegraph_export.add_frames --bundle BUNDLE --run runs/studio
+
+`--run` is where `kinegraph_training.train_frames` wrote frames/last.ckpt, over the graph encoder and the normalisation
+of this very bundle. No other file of the bundle is changed. Every graph is compared with its torch module, and whole
+clips with torch, as in `export_bundle`.
+"""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+import torch
+from torch import nn
+
+from kinegraph.arrays import FloatArray
+from kinegraph.bundle.contract import (
+    FORMAT_VERSION,
+    FRAME_FILES,
+    FRAME_GRAPHS,
+    FRAMES,
+    FRAMES_DENOISER,
+    FRAMES_DENOISER_AGD,
+    LevelSpec,
+)
+from kinegraph.bundle.frames_part import FramesPart, frame_contracts
+from kinegraph.bundle.manifest import Manifest, describe_file, encode_manifest
+from kinegraph.bundle.onnx_inspect import summarise
+from kinegraph.bundle.reader import MANIFEST, read_bundle
+from kinegraph.errors import InvalidInputError
+from kinegraph.motion.postprocess import enforce_bone_lengths
+from kinegraph.options import resolve_options
+from kinegraph.pipeline import MotionPipeline
+from kinegraph_export.export_bundle import MAX_PIPELINE_MM, PROMPTS
+from kinegraph_export.graphs import export_graph
+from kinegraph_export.modules import (
+    AgdDenoiserGraph,
+    DenoiserGraph,
+    ModulationGraph,
+    MotionAgdContextGraph,
+    MotionContextGraph,
+)
+from kinegraph_export.onnx_export import round_weights
+from kinegraph_export.parity import ParityError
+from kinegraph_export.pipeline_parity import alpha_bar, level_conditions
+from kinegraph_export.shared_weights import without_shared
+from kinegraph_training.checkpoints import read_checkpoint
+from kinegraph_training.config import FrameConfig
+from kinegraph_training.layouts import layout_of
+from kinegraph_training.models.agd import AgdNoisePredictor
+from kinegraph_training.models.denoiser import DenoiserConfig, LatentShape
+from kinegraph_training.models.frame_denoiser import FrameDenoiser
+
+STEPS, GUIDANCE = 20, 2.5
+"""Of a call that leaves them out, unless the command says otherwise."""
+
+
+@dataclasses.dataclass(frozen=True)
+class TrainedFrames:
+    """A skeleton-space denoiser in evaluation mode, with weights rounded to what a bundle stores."""
+
+    denoiser: FrameDenoiser
+    config: DenoiserConfig
+    latent: LatentShape
+    frames: FrameConfig
+
+    def part(self, steps: int, guidance: float) -> FramesPart:
+        """Describe it as the manifest does."""
+        config = self.config
+        level = LevelSpec(
+            tokens=self.latent.tokens,
+            latent_width=self.latent.width,
+            width=config.width,
+            heads=config.heads,
+            layers=config.layers,
+            nodes=config.kinds_seen(FRAMES),
+        )
+        return FramesPart(level, self.frames.frames_per_token, self.frames.scale, steps, guidance, "clean")
+
+    def modules(self) -> dict[str, nn.Module]:
+        """Wrap it as graphs, by the graph's name."""
+        denoiser = self.denoiser
+        modules: list[nn.Module] = [
+            MotionContextGraph(denoiser.context),
+            ModulationGraph(denoiser.clock),
+            DenoiserGraph(denoiser.step),
+            MotionAgdContextGraph(denoiser.context),
+            AgdDenoiserGraph(AgdNoisePredictor(denoiser)),
+        ]
+        return {name: module.eval() for name, module in zip(FRAME_GRAPHS, modules, strict=True)}
+
+
+def read_frames(checkpoint: Path) -> TrainedFrames:
+    """Load the averaged weights of a skeleton-space denoiser.
+
+    Raises:
+        InvalidInputError: there is none.
+    """
+    if not checkpoint.is_file():
+        raise InvalidInputError(f"{checkpoint} is missing; train it: python -m kinegraph_training.train_frames")
+    state = read_checkpoint(checkpoint)
+    settings = state["hyper_parameters"]
+    config, latent = DenoiserConfig(**settings["config"]), LatentShape(**settings["latents"][FRAMES])
+    denoiser = FrameDenoiser(config, latent)
+    prefix = f"hierarchy.levels.{FRAMES}."
+    weights = {name.removeprefix(prefix): w for name, w in state["state_dict"].items() if name.startswith(prefix)}
+    denoiser.load_state_dict(weights)
+    round_weights(denoiser.eval())
+    return TrainedFrames(denoiser, config, latent, FrameConfig(**settings["frames"]))
+
+
+def check_fits(trained: TrainedFrames, manifest: Manifest) -> None:
+    """Refuse a network that was not trained over a bundle of this kind.
+
+    Raises:
+        InvalidInputError: another format, family, text encoder or feature layout.
+    """
+    if manifest.format_version != FORMAT_VERSION or manifest.family != "kinegraph":
+        raise InvalidInputError(
+            f"only bundles of kinegraph's own networks of format {FORMAT_VERSION} have skeleton space, not format "
+            f"{manifest.format_version}, family {manifest.family!r}; export the bundle again first"
+        )
+    expected = {
+        "width of the text": (trained.config.text_width, manifest.text.width),
+        "features of a frame": (trained.latent.width // trained.frames.frames_per_token, len(manifest.features.mean)),
+    }
+    for what, (ours, theirs) in expected.items():
+        if ours != theirs:
+            raise InvalidInputError(
+                f"the {what} is {ours} in training and {theirs} in the bundle: another bundle's run"
+            )
+
+
+@torch.no_grad()
+def torch_frames(trained: TrainedFrames, pipe: MotionPipeline, prompt: str, seed: int, frames: int) -> FloatArray:
+    """Sample the joints (frames, 22, 3) of a sentence in torch, one prediction at a time, as the reference."""
+    manifest, part = pipe.manifest, pipe.manifest.frames_part
+    assert part is not None
+    (graph,) = pipe.encoder.encode_text([pipe.parse(prompt)], [seed % 4 == 3])
+    nodes = torch.from_numpy(pipe.encoder.attend([graph]).nodes[0])
+    conditions = level_conditions(trained.denoiser, graph, nodes, part.level.nodes, None, empty=True)
+    tokens = part.token_count(frames)
+    rng = np.random.Generator(np.random.PCG64(seed))
+    latent = torch.from_numpy(rng.standard_normal((tokens, part.level.latent_width), dtype=np.float32))[None]
+    alphas, stride = alpha_bar(), 1000 // part.steps
+    for index in reversed(range(part.steps)):
+        time = index * stride + 1
+        clock = trained.denoiser.clock(torch.tensor([time]), torch.tensor([tokens * part.per_token]))
+        text, null = (
+            trained.denoiser.step(latent, clock, known.context, known.bias[:, None, None, :])
+            for known in (conditions["text"], conditions["null"])
+        )
+        clean = null + part.guidance * (text - null)
+        now, after = alphas[time], alphas[max(time - stride, 0)]
+        noise = (latent - now.sqrt() * clean) / (1 - now).sqrt()
+        latent = (after.sqrt() * clean + (1 - after).sqrt() * noise).float()
+    mean, std = (np.array(values, dtype=np.float32) for values in (manifest.features.mean, manifest.features.std))
+    features = latent.reshape(-1, len(mean)).numpy()[:frames] / part.scale * std + mean
+    return enforce_bone_lengths(layout_of(len(mean)).to_joints(features), pipe.decoder.bones)
+
+
+def pipeline_difference(folder: Path, trained: TrainedFrames) -> float:
+    """Measure the mean joint distance between torch and the runtime over `PROMPTS`, mm, with the same noise."""
+    pipe = MotionPipeline.load(folder)
+    frames = pipe.in_space(FRAMES)
+    distances = []
+    for seed, prompt in enumerate(PROMPTS):
+        features = pipe.encoder.encode_text([pipe.parse(prompt)], [seed % 4 == 3])
+        options = resolve_options(pipe.manifest, seed=seed, foot_fix=False, space=FRAMES)
+        options = pipe.encoder.with_length(options, features)
+        latents = frames.sampler.sample(pipe.encoder.attend(features), None, [options])
+        clip = frames.decoder.decode(latents, [options], [prompt])[0]
+        expected = torch_frames(trained, pipe, prompt, seed, options.frames)
+        distances.append(np.linalg.norm(clip.joints - expected, axis=-1).mean() * 1000.0)
+    return float(np.mean(distances))
+
+
+def add_frames(folder: Path, run: Path, steps: int = STEPS, guidance: float = GUIDANCE) -> dict[str, float]:
+    """Write skeleton space into a bundle's folder, and its manifest anew; returns the parity of its graphs and clips.
+
+    Args:
+        folder: of the bundle, changed in place; what it had of skeleton space is replaced.
+        run: folder with frames/last.ckpt.
+        steps: diffusion steps of a call that leaves them out.
+        guidance: guidance scale of a call that leaves it out.
+
+    Raises:
+        BundleError: the bundle cannot be read, or `steps` and `guidance` are out of range.
+        InvalidInputError: there is no network, or it is of another bundle.
+        ParityError: a graph or whole clips differ from torch.
+    """
+    manifest, trained = read_bundle(folder).manifest, read_frames(run / FRAMES / "last.ckpt")
+    check_fits(trained, manifest)
+    part = trained.part(steps, guidance)
+    declared = frame_contracts(part.level, manifest.text.width)
+    files: dict[str, bytes] = {}
+    parity: dict[str, float] = {}
+    for name, module in trained.modules().items():
+        files[declared[name].file], differences = export_graph(
+            module, declared[name], part.per_token, manifest.precision
+        )
+        parity |= differences
+    file, source = declared[FRAMES_DENOISER_AGD].file, declared[FRAMES_DENOISER].file
+    files[file] = without_shared(files[file], files[source])
+    operators = {name: summarise(data, name).operators for name, data in files.items()}
+    changed = dataclasses.replace(
+        manifest,
+        frames_part=part,
+        files=dict(sorted({**manifest.files, **{name: describe_file(data) for name, data in files.items()}}.items())),
+        operators=dict(sorted({**manifest.operators, **operators}.items())),
+        parity={**manifest.parity, **parity},
+    )
+    before = {name: (folder / name).read_bytes() for name in (MANIFEST, *FRAME_FILES) if (folder / name).is_file()}
+    try:
+        write_files(folder, {**files, MANIFEST: encode_manifest(changed)})
+        parity["frames_mm"] = pipeline_difference(folder, trained)
+        if not parity["frames_mm"] <= MAX_PIPELINE_MM[manifest.precision]:
+            raise ParityError(f"clips of skeleton space are {parity['frames_mm']:.3f} mm from torch")
+        changed = dataclasses.replace(changed, parity={**manifest.parity, **parity})
+        write_files(folder, {MANIFEST: encode_manifest(changed)})
+    except BaseException:  # the bundle stays what it was
+        for name in files:
+            (folder / name).unlink(missing_ok=True)
+        write_files(folder, before)
+        raise
+    return parity
+
+
+def write_files(folder: Path, files: Mapping[str, bytes]) -> None:
+    """Write files into a folder."""
+    for name, data in files.items():
+        (folder / name).write_bytes(data)
+
+
+def main(argv: list[str] | None = None) -> None:
+    """Run the command line."""
+    parser = argparse.ArgumentParser(prog="kinegraph_export.add_frames", description=__doc__.split("\n")[0])
+    parser.add_argument("--bundle", type=Path, required=True, help="folder of the bundle, changed in place")
+    parser.add_argument("--run", type=Path, required=True, help="folder with frames/last.ckpt")
+    parser.add_argument("--steps", type=int, default=STEPS, help=f"default diffusion steps ({STEPS})")
+    parser.add_argument("--guidance", type=float, default=GUIDANCE, help=f"default guidance scale ({GUIDANCE})")
+    options = parser.parse_args(argv)
+    for name, difference in add_frames(options.bundle, options.run, options.steps, options.guidance).items():
+        print(f"{name:24s} {difference:.2e}")
+
+
+if __name__ == "__main__":
+    main()

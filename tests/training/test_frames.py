@@ -1,0 +1,158 @@
+"""Skeleton space in training: groups of frames as latents, padding that nobody sees, a run that stops and goes on."""
+
+from __future__ import annotations
+
+import shutil
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+torch = pytest.importorskip("torch")
+pytest.importorskip("lightning")
+pytest.importorskip("spacy")
+
+from kinegraph.bundle.contract import FRAMES, NODE_KINDS, PADDING_BIAS
+from kinegraph.errors import InvalidInputError
+from kinegraph_training import train_frames
+from kinegraph_training.checkpoints import read_checkpoint
+from kinegraph_training.config import FrameConfig, read_preset
+from kinegraph_training.frame_batches import FrameBatches, SimilarLengths
+from kinegraph_training.frame_module import FrameModule, squared_error_of_frames
+from kinegraph_training.models.denoiser import DenoiserConfig, LatentShape
+from kinegraph_training.models.frame_denoiser import FrameDenoiser, group_frames, hide_padding
+from support.toy_run import ASSETS, run_stage, steps_of
+
+CONFIG = DenoiserConfig(width=16, layers=4, heads=2, feed_forward=32, text_width=12, dropout=0.0)
+
+
+def frame_denoiser() -> FrameDenoiser:
+    torch.manual_seed(5)
+    denoiser = FrameDenoiser(CONFIG, LatentShape(tokens=9, width=6)).eval()
+    torch.nn.init.normal_(denoiser.clock.out.weight, std=0.2)
+    return denoiser
+
+
+@torch.no_grad()
+def test_a_network_takes_any_number_of_frames_and_never_sees_padding() -> None:
+    denoiser = frame_denoiser()
+    nodes, kind = torch.randn(2, 3, 12), torch.randint(0, 3, (2, 3))
+    bias = torch.zeros(2, 3)
+    context = denoiser.context(nodes, kind, torch.zeros_like(kind), bias)
+    modulation = denoiser.clock(torch.tensor([30, 30]), torch.tensor([20, 20]))
+    noisy = torch.randn(2, 7, 6)
+    given = (modulation, context, bias[:, None, None])
+    alone = denoiser.step(noisy[:, :5], *given)
+    assert alone.shape == (2, 5, 6)
+    mask = torch.tensor([1.0] * 5 + [0.0] * 2).expand(2, -1)
+    padded = denoiser.step(noisy, *given, padding=hide_padding(mask, PADDING_BIAS))
+    torch.testing.assert_close(padded[:, :5], alone, atol=1e-5, rtol=0)
+    assert not torch.allclose(denoiser.step(noisy, *given)[:, :5], alone, atol=1e-3), "padding would be seen"
+
+
+def test_groups_hold_the_features_of_their_frames_in_order() -> None:
+    features = torch.arange(2 * 8 * 3).reshape(2, 8, 3)
+    groups = group_frames(features, 4)
+    assert groups.shape == (2, 2, 12)
+    assert groups[1, 1].tolist() == features[1, 4:].flatten().tolist()
+
+
+def test_the_loss_weighs_the_root_and_leaves_out_padding() -> None:
+    generator = torch.Generator().manual_seed(0)
+    predicted, clean = (torch.randn(2, 3, 2 * 6, generator=generator) for _ in range(2))
+    mask = torch.tensor([[1.0, 1.0, 1.0], [1.0, 0.0, 0.0]])
+    expected = []
+    for row in range(2):
+        total, weights = 0.0, 0.0
+        for token in range(3):
+            for number in range(12):
+                weight = float(mask[row, token]) * (4.0 if number % 6 < 4 else 1.0)
+                total += weight * float(predicted[row, token, number] - clean[row, token, number]) ** 2
+                weights += weight
+        expected.append(total / weights)
+    np.testing.assert_allclose(squared_error_of_frames(predicted, clean, mask, 6).numpy(), expected, rtol=1e-5)
+
+
+def test_batches_are_of_clips_of_similar_length() -> None:
+    torch.manual_seed(0)
+    lengths = np.random.default_rng(0).integers(16, 197, 300)
+    weights = np.where(np.arange(300) < 100, 0.0, 1.0)
+    batches = list(SimilarLengths(lengths, weights, batch=8, batches=20))
+    assert [len(batch) for batch in batches] == [8] * 20
+    drawn = np.array(batches)
+    assert drawn.min() >= 100, "a clip of weight 0 was drawn"
+    spread = np.ptp(lengths[drawn], axis=1).mean()
+    assert spread < 0.4 * np.ptp(lengths[100:]), f"{spread:.0f} frames of padding"
+    order = [lengths[batch].mean() for batch in batches]
+    assert order != sorted(order)
+
+
+def test_the_paper_preset_is_the_papers_network() -> None:
+    preset = read_preset("paper")
+    config = preset.frames.denoiser(preset.denoiser)
+    assert (config.layers, config.width, preset.frames.frames_per_token) == (8, 512, 1)
+    assert config.kinds_seen(FRAMES) == NODE_KINDS[:3]
+    edge = read_preset("edge")
+    assert edge.frames.denoiser(edge.denoiser).width == edge.denoiser.width
+    shape = LatentShape(196, 137)
+    module = FrameModule(replace(config, width=32, heads=2), preset.frames_training, {FRAMES: shape}, preset.frames)
+    assert len(module.hierarchy.levels[FRAMES].step.joins) == 4
+
+
+@pytest.fixture(scope="module")
+def run(trained: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A copy of the toy's run, with skeleton space trained for twenty steps in two starts."""
+    folder = tmp_path_factory.mktemp("frames")
+    (folder / "data").symlink_to(trained / "data")
+    shutil.copytree(trained / "run", folder / "run")
+    preset = folder / "short.toml"
+    preset.write_text('base = "tiny"\n[frames_training]\nsteps = 20\nlearning_rate = 3e-3\n')
+    words = ["--assets", str(ASSETS), "--preset", str(preset), "--val_check_interval", "10"]
+    run_stage(train_frames, folder, *words, "--max_steps", "10")
+    assert steps_of(folder / "run" / "frames" / "last.ckpt") == 10
+    run_stage(train_frames, folder, *words)
+    return folder
+
+
+def test_a_run_goes_on_and_learns(run: Path) -> None:
+    assert steps_of(run / "run" / "frames" / "last.ckpt") == 20
+    lines = (run / "run" / "frames" / "curves" / "metrics.csv").read_text().splitlines()
+    rows = [dict(zip(lines[0].split(","), line.split(","), strict=True)) for line in lines[1:]]
+    values = [float(row["val/frames"]) for row in rows if row.get("val/frames")]
+    assert len(values) == 2 and values[1] < 0.9 * values[0]
+
+
+def test_the_graph_encoder_stays_that_of_the_bundle(run: Path) -> None:
+    latent, frames = (read_checkpoint(run / "run" / name / "last.ckpt")["state_dict"] for name in ("denoisers", FRAMES))
+    names = [name for name in latent if name.startswith("hierarchy.graph_encoder.")]
+    assert names and all(torch.equal(latent[name], frames[name]) for name in names)
+    moved = f"hierarchy.levels.{FRAMES}.context.node_in.weight"
+    lent = latent["hierarchy.levels.specific.context.node_in.weight"]
+    assert not torch.equal(frames[moved], lent) and torch.allclose(frames[moved], lent, atol=0.1), "not borrowed"
+
+
+def test_a_run_without_latent_denoisers_is_refused(trained: Path, tmp_path: Path) -> None:
+    (tmp_path / "data").symlink_to(trained / "data")
+    (tmp_path / "run").mkdir()
+    with pytest.raises(InvalidInputError, match="latent denoisers"):
+        run_stage(train_frames, tmp_path, "--assets", str(ASSETS))
+
+
+def test_batches_hold_whole_groups_and_null_captions_keep_their_frames(run: Path) -> None:
+    preset = read_preset("tiny")
+    arguments = train_frames.argparse.Namespace(data=run / "data", held_out=None, more=[])
+    config = replace(preset.data, splices=0, sequences=0)
+    clips = train_frames.load_clips(arguments, config, train_frames.layout_of(137))
+    captions = train_frames.encode_captions(clips, "graph", ASSETS, run / "run", verb_masking=False)
+    frames = FrameConfig(frames_per_token=4, scale=0.25)
+    batches = FrameBatches(clips.train, frames, captions.graphs, seed=0, augment=False)
+    batch = batches([0, 3])
+    lengths = clips.train.lengths[[0, 3]] // 4
+    assert batch.frames.tolist() == (4 * lengths).tolist()
+    assert batch.token_mask.sum(dim=1).tolist() == lengths.tolist()
+    rows = clips.train.features[3][: 4 * lengths[1]]
+    found = batch.latents[FRAMES][1, : lengths[1]].reshape(-1, 137)
+    np.testing.assert_allclose(found.numpy(), 0.25 * rows, atol=1e-6)
+    assert batch.without_text().token_mask is batch.token_mask
+    assert batch.to(torch.device("cpu")).latents[FRAMES].shape == batch.latents[FRAMES].shape
