@@ -13,11 +13,10 @@ import numpy as np
 import pytest
 
 import kinegraph
-from kinegraph.bundle.contract import contracts
 from kinegraph.bundle.reader import text_files_folder
 from kinegraph.bundle.verify import verify_bundle
 from kinegraph.errors import BundleFormatError
-from support.synthetic_bundle import LEVEL_SPECS, bundle_files, field, filler_model, node, write_bundle
+from support.synthetic_bundle import bundle_files, field, filler_model, manifest_for, node, write_bundle
 
 PACKAGE = Path(kinegraph.__file__).resolve().parent
 GRAPHS = sorted(name for name in bundle_files() if name.endswith(".onnx"))
@@ -168,7 +167,7 @@ def test_a_parser_takes_weights_from_its_file_and_nothing_else(toy_bundle: Path)
 
 @pytest.mark.parametrize("name", GRAPHS)
 def test_verify_refuses_an_operator_that_is_not_listed_in_any_graph(tmp_path: Path, name: str) -> None:
-    whole = filler_model(contracts(LEVEL_SPECS, 12, 137)[name.removesuffix(".onnx")])
+    whole = filler_model(manifest_for(bundle_files()).contracts[name.removesuffix(".onnx")])
     foreign = whole + field(7, field(1, node("Identity", ["unique"], ["spare"])))
     folder = write_bundle(tmp_path / "foreign", {**bundle_files(), name: foreign})
     with pytest.raises(BundleFormatError, match=rf"{name} uses the operator ai\.onnx::Identity"):

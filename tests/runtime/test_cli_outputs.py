@@ -48,7 +48,7 @@ def test_info_tells_licences_and_provenance(capsys: pytest.CaptureFixture[str], 
 def test_verify_lists_every_file(capsys: pytest.CaptureFixture[str], bundle: Path) -> None:
     assert cli.main(["verify", "--bundle", str(bundle)]) == 0
     lines = capsys.readouterr().out.splitlines()
-    assert lines[-1] == "ok: 27 files, 24 graphs"
+    assert lines[-1] == "ok: 32 files, 29 graphs"
     for name in bundle_files():
         assert any(line.startswith(f"  ok  {name}: ") for line in lines)
     assert cli.main(["verify", "--json", "--bundle", str(bundle)]) == 0
