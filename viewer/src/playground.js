@@ -31,7 +31,7 @@ const NEXT = "a person stands still";
 const NEXT_SECONDS = 2;
 const STRIP_TIME = 0.6; // of a clip: when it is drawn for the strip
 const PICTURE_WAIT = 600; // milliseconds at most until it is drawn
-const STEP_PAUSE = 150; // milliseconds: who undoes step after step waits for no clip between
+const STEP_PAUSE = 150; // milliseconds: who changes or undoes step after step waits for no clip between
 
 const count = (name) => {
   const { dataset } = document.documentElement;
@@ -187,9 +187,12 @@ export async function openPlayground(side, play, stage, transport, clock) {
     return true;
   }
 
-  /** The same clip with what has just been changed. */
-  function again() {
+  /** The same clip with what has just been changed; of changes in quick succession, with all of them at once. */
+  async function again() {
     if (!newest && !maker.running) return;
+    const own = (asked += 1);
+    if (maker.running) await new Promise((resolve) => setTimeout(resolve, STEP_PAUSE));
+    if (own !== asked) return;
     const next = read();
     make(next, { changes: true, own: sameSeed(next) });
   }
