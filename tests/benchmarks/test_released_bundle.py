@@ -13,7 +13,7 @@ pytest.importorskip("onnxscript")
 from kinegraph_benchmarks.speed import released_bundle
 from kinegraph_benchmarks.speed.released_bundle import ARMS, EagerClip, Sizes
 
-pytestmark = [pytest.mark.slow, pytest.mark.timeout(900)]
+pytestmark = [pytest.mark.slow, pytest.mark.timeout(900), pytest.mark.usefixtures("traces")]
 
 
 def test_all_arms_are_measured_in_one_run(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

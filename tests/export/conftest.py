@@ -8,6 +8,7 @@ import pytest
 
 from kinegraph import MotionPipeline
 from support.shared import SHARED
+from support.workers import shared_folder
 
 FIXTURES = SHARED / "fixtures" / "official"
 
@@ -34,9 +35,11 @@ def graphmotion_bundle(graphmotion_files: dict[str, Path], tmp_path_factory: pyt
     """Folder of a float32 bundle that runs sentences as the released evaluation does; only read it."""
     pytest.importorskip("onnx")
     from kinegraph_export.import_graphmotion import import_graphmotion
+    from support.tracing import traced_once
 
     out = tmp_path_factory.mktemp("imported") / "graphmotion"
-    import_graphmotion(**graphmotion_files, out=out, precision="fp32", heads=(4, 4))
+    with traced_once(shared_folder(tmp_path_factory, "traces")):
+        import_graphmotion(**graphmotion_files, out=out, precision="fp32", heads=(4, 4))
     return out
 
 

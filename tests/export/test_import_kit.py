@@ -20,7 +20,7 @@ from kinegraph_export.import_graphmotion import import_graphmotion
 from kinegraph_export.import_mld import import_mld
 from support.official import graphmotion_tensors, mld_tensors, write_clip, write_lightning, write_statistics
 
-pytestmark = [pytest.mark.slow, pytest.mark.timeout(900)]
+pytestmark = [pytest.mark.slow, pytest.mark.timeout(900), pytest.mark.usefixtures("traces")]
 
 LEG = 0.821
 

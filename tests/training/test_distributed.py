@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -13,7 +14,7 @@ torch = pytest.importorskip("torch")
 pytest.importorskip("lightning")
 
 from kinegraph_training.vae_batches import FrameBudgetSampler
-from support.toy_run import ASSETS, steps_of, write_walks
+from support.toy_run import ASSETS, steps_of
 
 TOGETHER = ("--accelerator", "cpu", "--devices", "2", "--strategy", "ddp", "--enable_progress_bar", "0")
 
@@ -32,10 +33,11 @@ def train_with_two_processes(module: str, folder: Path, *words: str) -> str:
 
 @pytest.mark.skipif(not torch.distributed.is_available(), reason="this torch cannot train in several processes")
 @pytest.mark.slow
-def test_two_processes_train_every_stage(tmp_path: Path) -> None:
-    write_walks(tmp_path / "data")
-    for level in ("motion", "action", "specific"):
-        output = train_with_two_processes("train_vae", tmp_path, "--level", level)
+def test_two_processes_train_an_autoencoder_and_denoisers(trained: Path, tmp_path: Path) -> None:
+    (tmp_path / "data").symlink_to(trained / "data")
+    for name in ("vae_motion", "vae_action"):
+        shutil.copytree(trained / "run" / name, tmp_path / "run" / name)
+    output = train_with_two_processes("train_vae", tmp_path, "--level", "specific")
     train_with_two_processes("train_denoisers", tmp_path, "--assets", str(ASSETS))
     assert "MEMBER: 2/2" in output, "two processes there were"
     for stage in ("vae_specific", "denoisers"):

@@ -84,8 +84,8 @@ class Sizes:
     @classmethod
     def quick(cls) -> Sizes:
         """Return small ones, to try the script."""
-        denoiser = OfficialDenoiserConfig(2, 32, 64, 3, 4, 128, 64, is_lifted=True)
-        vae = OfficialVaeConfig(263, 2, 32, 3, 4, 64, 263)
+        denoiser = OfficialDenoiserConfig(2, 32, 64, 1, 4, 128, 64, is_lifted=True)
+        vae = OfficialVaeConfig(263, 2, 32, 1, 4, 64, 263)
         return cls(denoiser, vae, ClipConfig(600, 77, 64, 2, 4, 128, 64, 1e-5, "quick_gelu"))
 
 
@@ -142,6 +142,15 @@ def make_bundle(out: Path, sizes: Sizes, precision: Precision) -> None:
     statistics = (np.zeros(263, dtype=np.float32), np.full(263, 0.05, dtype=np.float32))
     clip, parser = random_clip(sizes, precision), read_parser(None)
     write_imported(out, origin, random_models(sizes), "graphmotion-released", clip, statistics, parser, precision)
+
+
+def make_in_a_process(out: Path, sizes: Sizes, precision: Precision) -> None:
+    """Write a bundle as `make_bundle` does, in a process whose memory goes back to the system."""
+    maker = get_context("spawn").Process(target=make_bundle, args=(out, sizes, precision))
+    maker.start()
+    maker.join()
+    if maker.exitcode != 0:
+        raise RuntimeError(f"making the bundle in {precision} failed with status {maker.exitcode}")
 
 
 class EagerClip:
@@ -232,13 +241,9 @@ def measure(work: Path, *, quick: bool, steps: tuple[int, ...], threads: int, re
     """Make the bundles, then time all arms in turn; see the module."""
     sizes = Sizes.quick() if quick else Sizes.released()
     work.mkdir(parents=True, exist_ok=True)
-    context = get_context("spawn")
-    for precision in PRECISIONS.values():  # each in a process, whose memory goes back to the system
-        maker = context.Process(target=make_bundle, args=(work / precision, sizes, precision))
-        maker.start()
-        maker.join()
-        if maker.exitcode != 0:
-            raise RuntimeError(f"making the bundle in {precision} failed with status {maker.exitcode}")
+    make = make_bundle if quick else make_in_a_process
+    for precision in PRECISIONS.values():
+        make(work / precision, sizes, precision)
     memory: dict[str, float] = {}
     with ExitStack() as stack:
         calls = {arm: start_bundle(work / name, steps, threads, stack) for arm, name in PRECISIONS.items()}
