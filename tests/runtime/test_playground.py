@@ -195,17 +195,26 @@ def test_a_character_comes_back_with_the_clip(server: PlaygroundClient, pipe: Mo
     assert response.status == 200 and response.body == clip.onto(hero, fps=24, root=True).encode()
 
 
-def test_characters_are_bounded_and_refused_with_a_reason(server: PlaygroundClient) -> None:
+def referring_to(uri: str) -> bytes:
+    """Make a character whose buffer is another file."""
+    document = json.dumps({"asset": {"version": "2.0"}, "buffers": [{"uri": uri, "byteLength": 4}]}).encode()
+    document += b" " * (-len(document) % 4)
+    return struct.pack("<4sIIII", b"glTF", 2, 20 + len(document), len(document), 0x4E4F534A) + document
+
+
+def test_characters_are_bounded_and_refused_with_a_reason(
+    server: PlaygroundClient, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     hero = make_character(BUILDS["Mixamo, T-pose, centimetres"])
-    uri = json.dumps({"asset": {"version": "2.0"}, "buffers": [{"uri": "../../secret.bin", "byteLength": 4}]}).encode()
-    uri += b" " * (-len(uri) % 4)
-    outside = struct.pack("<4sIIII", b"glTF", 2, 20 + len(uri), len(uri), 0x4E4F534A) + uri
+    (tmp_path / "beside.bin").write_bytes(bytes(4))
+    monkeypatch.chdir(tmp_path)  # what lies where the server was started is no business of a character either
     for body, status, reason in (
         (character_body("hero.bvh", b"HIERARCHY"), 400, ".glb or .vrm"),
         (character_body("x" * 300 + ".glb", hero), 400, "at most 200"),
         (character_body("hero.glb", b""), 400, "cannot be used"),
         (character_body("hero.glb", hero[:5000]), 400, "cannot be used"),
-        (character_body("hero.glb", outside), 400, "refers to"),
+        (character_body("hero.glb", referring_to("../../secret.bin")), 400, "refers to"),
+        (character_body("hero.glb", referring_to("beside.bin")), 400, "refers to"),
         (character_body("hero.glb", hero, wish={"text": TEXT}), 400, "needs the seed"),
         (character_body("hero.glb", hero, wish=[]), 400, "wish must be"),
         (character_body("hero.glb", hero, suffix=".glb"), 400, "unknown 'suffix'"),

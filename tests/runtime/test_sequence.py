@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from kinegraph import Cancelled, InvalidInputError, MotionPipeline, cli
+from kinegraph import Cancelled, InvalidInputError, MotionPipeline, cli, clip_editing
 from kinegraph.conditioning import ConditionEncoder
 from support.cli_runs import fails
 
@@ -81,13 +81,20 @@ def test_on_the_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str])
     assert "is not a number, nor several" in capsys.readouterr().err
 
 
-def test_parts_continue_from_the_last_pose_with_the_lengths_that_were_asked_for(toy: MotionPipeline) -> None:
+def test_parts_continue_from_the_last_pose_with_the_lengths_that_were_asked_for(
+    toy: MotionPipeline, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    begun: list[np.ndarray] = []
+    begin_in = clip_editing.begin_in
+    monkeypatch.setattr(clip_editing, "begin_in", lambda joints, *rest: begun.append(joints) or begin_in(joints, *rest))
     texts = ["a person walks forward", "a person waves the right hand", "a person bows"]
     clip = toy.sequence(texts, method="continue", seconds=[2, 1.5, 2], **FEW)
     assert clip.frames == 110 and clip.text == ", then ".join(texts)
     assert clip.misses == () and clip.seed == 4
     alone = toy.generate(texts[0], seconds=2, **FEW)
     np.testing.assert_array_equal(clip.joints[:36], alone.joints[:36])  # nothing is cut or blended
+    assert [len(joints) for joints in begun] == [4, 4]  # each part but the first begins in 0.2 s of the motion so far
+    np.testing.assert_array_equal(begun[0], alone.joints[-4:])
     steps = np.linalg.norm(np.diff(clip.joints, axis=0), axis=-1).max(axis=1)
     assert steps[[39, 69]].max() < 2 * np.quantile(steps, 0.95)
     again = toy.sequence(texts, method="continue", seconds=[2, 1.5, 2], **FEW)
