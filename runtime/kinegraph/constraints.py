@@ -11,6 +11,8 @@ from +Z towards +X: 90 is to the left, as in `motion.skeleton.facing_angle`. The
 
 Each constraint is an energy of the sampler: EnergyMoGen, Eq. 6-8. Values are checked here, without a clip; whether they
 fit a clip and one another is checked by `feasibility`.
+
+Above 500 lines because every constraint documents its fields, units and errors.
 """
 
 from __future__ import annotations

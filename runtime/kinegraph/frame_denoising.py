@@ -14,6 +14,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from operator import itemgetter
 from typing import ClassVar
 
 import numpy as np
@@ -101,7 +102,7 @@ class FrameSampler(LatentSampler):
         found = np.zeros((len(whole), longest, self.part.level.latent_width), dtype=np.float32)
         for index, length in enumerate(lengths):
             rows = [row for row, sample in enumerate(whole) if sample.frames == length]
-            of_length = Conditions(**{name: array[rows] for name, array in vars(conditions).items()})
+            of_length = conditions.map(itemgetter(rows))
             progress = subrange_progress(on_step, index, len(lengths))
             latents = super().sample(of_length, weights, [whole[row] for row in rows], progress)
             found[rows, : latents.shape[1]] = latents

@@ -409,18 +409,7 @@ class MotionPipeline:
         if shared_run and wanted is not None:
             raise InvalidInputError("clips that share one run cannot have constraints; leave out shared_run")
         lengths = validate_lengths(texts, seconds, MAX_TAKES, "a batch")
-        options = [
-            resolve_options(
-                self.manifest,
-                seconds=length,
-                seed=seed,
-                steps=steps,
-                guidance=guidance,
-                foot_fix=foot_fix,
-                space=space,
-            )
-            for length in lengths
-        ]
+        options = self._resolve_each(lengths, seed=seed, steps=steps, guidance=guidance, foot_fix=foot_fix, space=space)
         seeds = batch_seeds(options[0].seed, len(options), takes)
         graphs = [self.as_graph(text) for text in deadline.each(texts)]
         unknown = self._unknown_of_each(graphs, strict)
@@ -492,18 +481,9 @@ class MotionPipeline:
 
             require_gradients(self.sampler)
         pipe = self.in_space(FRAMES if method == "energy" else LATENT)
-        options = [
-            resolve_options(
-                self.manifest,
-                seconds=length,
-                seed=seed,
-                steps=steps,
-                guidance=guidance,
-                foot_fix=foot_fix,
-                space=pipe.sampler.space,
-            )
-            for length in lengths
-        ]
+        options = self._resolve_each(
+            lengths, seed=seed, steps=steps, guidance=guidance, foot_fix=foot_fix, space=pipe.sampler.space
+        )
         graphs = [self.as_graph(text) for text in deadline.each(texts)]
         unknown_of_each = self._unknown_of_each(graphs, strict)
         unknown = _once_each(unknown_of_each)
@@ -630,18 +610,14 @@ class MotionPipeline:
         deadline = _check_call(timeout, on_step, strict=strict)
         timeline = check_intervals(intervals)
         pipe = self.in_space(space)
-        options = [
-            resolve_options(
-                self.manifest,
-                seconds=each.end - each.start,
-                seed=seed,
-                steps=steps,
-                guidance=guidance,
-                foot_fix=foot_fix,
-                space=space,
-            )
-            for each in timeline
-        ]
+        options = self._resolve_each(
+            [each.end - each.start for each in timeline],
+            seed=seed,
+            steps=steps,
+            guidance=guidance,
+            foot_fix=foot_fix,
+            space=space,
+        )
         graphs = [self.as_graph(each.text) for each in deadline.each(timeline)]
         unknown = self._unknown_of_each(graphs, strict)
         parts = [
@@ -798,6 +774,10 @@ class MotionPipeline:
     def as_graph(self, text: str | SemanticGraph) -> SemanticGraph:
         """Return a graph as it is, and parse a sentence."""
         return text if isinstance(text, SemanticGraph) else self.parse(text)
+
+    def _resolve_each(self, lengths: Iterable[float | None], **sampling: Any) -> list[GenerateOptions]:
+        """Resolve the options of sentences that differ in length alone; `sampling` goes to `resolve_options`."""
+        return [resolve_options(self.manifest, seconds=length, **sampling) for length in lengths]
 
     def _unknown_spans(self, graph: SemanticGraph, vocabulary: Vocabulary) -> list[Unknown]:
         spans = list(find_unknown(graph, vocabulary, self.encoder))

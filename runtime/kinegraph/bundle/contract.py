@@ -10,6 +10,8 @@ attends to a context of its own, and `combine` mixes the attention outputs back 
 
 Bundles of format 3 and 2 name two files of a level by older words, `clock_*` for its modulation and `step_*` for its
 denoiser, and their context encoders take no `bias`: each context token is encoded by itself.
+
+Above 500 lines because every graph of our own networks is declared here, input by input.
 """
 
 from __future__ import annotations
