@@ -28,6 +28,8 @@ SENTENCES = st.lists(st.sampled_from(WORDS.split()), max_size=30).map(" ".join)
 TEXTS = st.text(max_size=40) | st.text(min_size=400, max_size=600) | SENTENCES | SENTENCES.map(lambda text: text * 9)
 NUMBERS = st.floats() | st.integers() | st.floats(0, 10) | st.sampled_from([1, 2, HUGE, 0.5, 100, -1])
 ANYTHING = st.sampled_from(JUNK)
+NO_FUNCTION = st.sampled_from([value for value in JUNK if not callable(value)])
+"""What a callback cannot be; a function that fails is its caller's, and so is its error."""
 
 WALK = Clip(walk(30).astype(np.float32), 20.0, 1, "a person walks", "toy 1")
 SHORT_CLIP = Clip(WALK.joints[:9], 20.0, 1, "a person walks", "toy 1")
@@ -148,7 +150,10 @@ def requests(draw: st.DrawFn) -> Request:
         names = draw(st.lists(st.sampled_from(sorted(options)), unique=True, max_size=2))
         if "constraints" in options and draw(st.booleans()):
             inputs, names = mostly(PLAIN, inputs), [*{*names[:1], "constraints"}]
-        chosen |= {name: draw(options[name] if draw(st.integers(0, 9)) else ANYTHING) for name in sorted(names)}
+        odd = {"on_step": NO_FUNCTION}
+        chosen |= {
+            name: draw(options[name] if draw(st.integers(0, 9)) else odd.get(name, ANYTHING)) for name in sorted(names)
+        }
     many = draw(st.lists(inputs, max_size=3))
     if call == "compose" and draw(st.booleans()):
         return call, [[{"concept": item, "weight": draw(NUMBERS)} for item in many]], chosen
