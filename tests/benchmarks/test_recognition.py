@@ -108,6 +108,26 @@ def test_one_bundle_is_measured_and_shown(tmp_path: Path) -> None:
     assert "| of captured | 1 | 1.000 | 1.000 |" in text and "| stand | 9 | 3 of trained takes | 1.00 |" in text
 
 
+def test_what_the_autoencoder_keeps_is_a_column(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    latents = pytest.importorskip("kinegraph_training.latents")
+    scores = pytest.importorskip("kinegraph_benchmarks.common.autoencoder_scores")
+    monkeypatch.setattr(latents, "read_vae", lambda path: path)
+    monkeypatch.setattr(scores, "reconstruct", lambda trained, features: features * np.float32("vae" in str(trained)))
+    captured = Captured(walks(9) + stands(9), walks(3) + stands(3), frozenset())
+    judge = recognition.train_classifier(captured)
+    kept = recognition.measure_autoencoder(tmp_path, captured, judge)
+    assert kept["recognition"]["of_captured"] == 1.0 and kept["actions"]["walk"]["error"] < 1e-5
+    model: Any = Fake()
+    evaluator: Any = Judge()
+    found = recognition.measure_model(model, captured, judge, evaluator, tmp_path, 1, 2)
+    result = {"evaluator": "t", "repeats": 1, "held_out": 6, "bundles": {"a": found}, "autoencoder": kept}
+    text = recognition.markdown_table(result)
+    assert "| action | trained | held out | captured | copied | error, mm | a |" in text
+    assert "| stand | 9 | 3 | 1.00 | 1.00 | 0 | 1.00 |" in text
+    copies = [np.stack([t_pose(40)[0]] * len(one.joints)) for one in captured.held_out]
+    assert recognition.body_error(copies[0], captured.held_out[0].joints) > 0.01
+
+
 def test_another_body_is_brought_to_that_of_the_captured_clips() -> None:
     plain = [walk(40), walk(50, speed=0.08)]
     common = [start_at_origin(to_common_skeleton(joints, rest_directions(plain))) for joints in plain]

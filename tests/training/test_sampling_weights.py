@@ -1,4 +1,4 @@
-"""How often the denoisers see which clip."""
+"""How often the networks see which clip."""
 
 from __future__ import annotations
 
@@ -11,7 +11,8 @@ pytest.importorskip("torch")
 
 from kinegraph_training.config import DataConfig
 from kinegraph_training.data.clips import MotionClip
-from kinegraph_training.denoiser_data import sampling_weights
+from kinegraph_training.sampling_weights import sampling_weights
+from kinegraph_training.vae_batches import FrameBudgetSampler
 
 JOINTS = np.zeros((2, 22, 3), dtype=np.float32)
 
@@ -52,6 +53,33 @@ def test_rare_actions_come_more_often_and_none_too_often() -> None:
     assert labels["walk"] == pytest.approx(0.05, abs=2e-3)
     assert labels["kick-left"] > 4 * 2 / len(pool)
     assert labels["action0"] > labels["kick-left"]
+
+
+def test_an_action_of_many_styles_does_not_come_more_often_for_them() -> None:
+    styled = [
+        MotionClip(f"bow{number}", JOINTS, ("x",), ("bow",), f"style{number % 5}", made_by="") for number in range(10)
+    ]
+    config = DataConfig(label_cap=1.0)
+    weights = sampling_weights([*clips(many("", 3)), *styled], config)
+    assert weights[-10:].sum() == pytest.approx(0.25) and np.ptp(weights[-10:]) < 1e-12
+    uneven = [*styled, MotionClip("bow10", JOINTS, ("x",), ("bow",), "rare", made_by="")]
+    of_style = sampling_weights(uneven, config)
+    assert of_style[-1] / of_style[0] == pytest.approx(2 ** (1 - config.label_power))
+
+
+def test_autoencoders_draw_clips_as_often_as_their_weights_say() -> None:
+    lengths, weights = [40] * 30, np.array([1.0] * 29 + [29.0])
+    sampler = FrameBudgetSampler(lengths, 400, seed=1, weights=weights)
+    drawn = Counter[int]()
+    for epoch in range(40):
+        sampler.set_epoch(epoch)
+        batches = sampler.batches()
+        assert sum(map(len, batches)) == 30 and all(len(batch) <= 10 for batch in batches)
+        drawn.update(index for batch in batches for index in batch)
+    assert drawn[29] / 1200 == pytest.approx(0.5, abs=0.05) and len(drawn) == 30
+    assert sampler.batches() == sampler.batches()
+    once = FrameBudgetSampler(lengths, 400, seed=1).batches()
+    assert sorted(index for batch in once for index in batch) == list(range(30))
 
 
 def test_what_is_wanted_often_comes_as_many_times_as_asked() -> None:

@@ -47,7 +47,11 @@ class DataConfig:
     label_cap: float = 0.05
     """Largest share of the draws of one action."""
     label_power: float = 0.35
-    """Draws of an action in a style go by this power of its number of clips: below 1 rare ones come more often."""
+    """Draws of an action go by this power of its number of clips, and within it those of a style: below 1 rare ones
+    come more often."""
+    weighted_vae: bool = False
+    """Whether the autoencoders draw clips as often as the denoisers do; else each once an epoch, and a fall, of which
+    there are nine clips, once in a thousand."""
     often: list[str] = field(default_factory=list)
     """Beginnings of labels that are drawn `often_weight` times as often: what people ask for and data seldom hold."""
     often_weight: float = 3.0

@@ -1,20 +1,16 @@
-"""What the denoisers are trained on: clips of both splits, their encoded captions, and how often each is drawn."""
+"""What the denoisers are trained on: clips of both splits, and their encoded captions."""
 
 from __future__ import annotations
 
 import argparse
-from collections import Counter
-from collections.abc import Iterable
 from dataclasses import dataclass
 from itertools import chain
 from pathlib import Path
 
-import numpy as np
-
 from kinegraph.errors import InvalidInputError
 from kinegraph_training.config import DataConfig
 from kinegraph_training.data.caption_cache import CaptionGraphs, CaptionStates, encode_graphs, encode_states
-from kinegraph_training.data.clips import MotionClip, without_motion
+from kinegraph_training.data.clips import without_motion
 from kinegraph_training.dataset import Dataset, drop_long_clips, training_set, validation_set
 from kinegraph_training.layouts import FeatureLayout
 
@@ -74,29 +70,3 @@ def encode_captions(
     if not verb_masking:
         return EncodedCaptions(graphs, None)
     return EncodedCaptions(graphs, encode_graphs(train, assets, run / "captions_masked.npz", verbs_masked=True))
-
-
-def sampling_weights(clips: Iterable[MotionClip], config: DataConfig) -> np.ndarray:
-    """Compute how often each clip is drawn, (clips,), by what made it and by what it shows.
-
-    What made a clip has the share of `DataConfig.draws`. Within it, an action in a style has a share by a power of its
-    number of clips, and no action has more than `label_cap`: what it has too much is shared by the others.
-    """
-    told = [(clip.made_by, clip.action, clip.style, clip.action or clip.id) for clip in clips]
-    kinds = np.array([made_by for made_by, *_ in told])
-    groups = Counter(group[:3] for group in told)
-    power = config.label_power - 1.0
-    weights = np.array([groups[group[:3]] ** power for group in told])
-    often = tuple(config.often)
-    weights *= [config.often_weight if often and action.startswith(often) else 1.0 for _, action, *_ in told]
-    shares = {kind: config.draws.get(kind, float(np.mean(kinds == kind))) for kind in set(kinds.tolist())}
-    shares[""] = max(1.0 - sum(share for kind, share in shares.items() if kind), 0.0)
-    for kind, share in shares.items():
-        of_kind = kinds == kind
-        weights[of_kind] *= share / max(weights[of_kind].sum(), 1e-12)
-    labels, index = np.unique([label for *_, label in told], return_inverse=True)
-    for _ in range(10):  # capping one action lifts the others, which may pass the cap then
-        totals = np.bincount(index, weights, len(labels))
-        weights *= np.minimum(1.0, config.label_cap / totals.clip(min=1e-12))[index]
-        weights /= weights.sum()
-    return weights

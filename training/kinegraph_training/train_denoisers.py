@@ -37,13 +37,13 @@ from kinegraph_training.denoiser_data import (
     Splits,
     encode_captions,
     load_clips,
-    sampling_weights,
 )
 from kinegraph_training.denoiser_module import DenoiserModule, HideLate
 from kinegraph_training.latents import Latents, encode_clips, encode_levels, read_vae
 from kinegraph_training.layouts import layout_of
 from kinegraph_training.losses import SpectralMotionLoss
 from kinegraph_training.models.denoiser import LatentShape
+from kinegraph_training.sampling_weights import sampling_weights
 from kinegraph_training.trainer import add_common_arguments, lightning_flags, load_start_weights, make_trainer
 
 

@@ -33,7 +33,6 @@ from kinegraph_training.denoiser_data import (
     Splits,
     encode_captions,
     load_clips,
-    sampling_weights,
 )
 from kinegraph_training.denoiser_module import HideLate
 from kinegraph_training.frame_batches import FrameBatches, SimilarLengths
@@ -41,6 +40,7 @@ from kinegraph_training.frame_module import FrameModule
 from kinegraph_training.latents import read_vae
 from kinegraph_training.layouts import layout_of
 from kinegraph_training.models.denoiser import LatentShape
+from kinegraph_training.sampling_weights import sampling_weights
 from kinegraph_training.trainer import add_common_arguments, lightning_flags, load_start_weights, make_trainer
 
 VALIDATE_EVERY = 500

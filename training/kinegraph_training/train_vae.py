@@ -23,6 +23,7 @@ from kinegraph.bundle.contract import LEVELS
 from kinegraph.errors import InvalidInputError
 from kinegraph_training.checkpoints import fit
 from kinegraph_training.config import OptimiserConfig, Preset, read_preset
+from kinegraph_training.data.clips import without_motion
 from kinegraph_training.dataset import Dataset, training_set, validation_set
 from kinegraph_training.layouts import layout_of
 from kinegraph_training.losses import (
@@ -35,6 +36,7 @@ from kinegraph_training.losses import (
 )
 from kinegraph_training.metrics import reconstruction_scores
 from kinegraph_training.models.vae import ENCODER_PARTS, MotionVae, VaeConfig
+from kinegraph_training.sampling_weights import sampling_weights
 from kinegraph_training.trainer import (
     add_common_arguments,
     configure_optimiser,
@@ -144,7 +146,8 @@ def make_loaders(train: Dataset, val: Dataset, preset: Preset, level: str) -> tu
 
     lengths = np.minimum(train.lengths, data.max_frames).tolist()
     budget = preset.vae_training[level].batch
-    sampler = FrameBudgetSampler(lengths, budget, preset.seed)
+    weights = sampling_weights(without_motion(train.clips), data) if data.weighted_vae else None
+    sampler = FrameBudgetSampler(lengths, budget, preset.seed, weights)
     val_sampler = FrameBudgetSampler(val.lengths.tolist(), 4 * budget, preset.seed)
     train_indices: Any = range(len(train.features))
     val_indices: Any = range(len(val.features))

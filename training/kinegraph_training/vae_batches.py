@@ -6,6 +6,7 @@ from collections.abc import Iterator
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor, distributed
 from torch.utils.data import Sampler
 
@@ -25,12 +26,20 @@ class FrameBudgetSampler(Sampler[list[int]]):
     Clips are sorted by jittered length. The same seed and epoch give the same batches, so that a resumed run continues
     as it would have. Processes of distributed training get equal shares: one with a batch more would wait for the
     others for ever.
+
+    Args:
+        lengths: frames of each clip.
+        budget: frames of a batch.
+        seed: of the order and the draws.
+        weights: how often each clip is drawn, with replacement; None takes each once an epoch. The sum of lengths of
+            an epoch, and so its number of batches, then vary a little.
     """
 
-    def __init__(self, lengths: list[int], budget: int, seed: int) -> None:
+    def __init__(self, lengths: list[int], budget: int, seed: int, weights: NDArray[np.float64] | None = None) -> None:
         self.lengths = np.array(lengths)
         self.budget = budget
         self.seed = seed
+        self.weights = None if weights is None else weights / weights.sum()
         self.epoch = 0
 
     def set_epoch(self, epoch: int) -> None:
@@ -51,7 +60,9 @@ class FrameBudgetSampler(Sampler[list[int]]):
     def batches(self) -> list[list[int]]:
         """Return the indices of every batch of the epoch, in training order."""
         rng = np.random.Generator(np.random.PCG64([self.seed, self.epoch]))
-        order = np.argsort(self.lengths * (1 + 0.15 * rng.standard_normal(len(self.lengths))), kind="stable")
+        count = len(self.lengths)
+        drawn = np.arange(count) if self.weights is None else rng.choice(count, count, p=self.weights)
+        order = drawn[np.argsort(self.lengths[drawn] * (1 + 0.15 * rng.standard_normal(count)), kind="stable")]
         batches: list[list[int]] = []
         current: list[int] = []
         longest = 0
