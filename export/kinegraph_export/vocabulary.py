@@ -1,16 +1,19 @@
 """Build `vocabulary.npz`, what a bundle was shown in training, and add it to an existing bundle.
 
     python -m kinegraph_export.vocabulary --data DATA/bandai --bundle BUNDLE
+    python -m kinegraph_export.vocabulary --recognition recognition.json --bundle BUNDLE
 
 It holds the words of the training captions, verbs with what follows them, and the actions and styles with sentence
 embeddings by the bundle's own text encoder. Wordings of made compositions count where the labels are those of
-`kinegraph_training.synthetic.caption_grammar`. Only the new file and the manifest of the bundle change.
+`kinegraph_training.synthetic.caption_grammar`. A report of `kinegraph_benchmarks.quality.recognition` adds how often
+each action is recognised in what the bundle makes. Only the new file and the manifest of the bundle change.
 """
 
 from __future__ import annotations
 
 import argparse
 import dataclasses
+import json
 from collections import Counter, defaultdict
 from collections.abc import Iterable, Sequence
 from pathlib import Path
@@ -27,7 +30,9 @@ from kinegraph.bundle.vocabulary import (
     STYLE_SENTENCE,
     Facts,
     Phrase,
+    Vocabulary,
     pack_vocabulary,
+    read_vocabulary,
     sentences_to_embed,
 )
 from kinegraph.errors import InvalidInputError
@@ -225,6 +230,30 @@ def add_to_bundle(folder: Path, data: bytes) -> None:
     write_atomically(path, sealed, force=True)
 
 
+def with_recognition(vocabulary: Vocabulary, report: Path, bundle: Path) -> bytes:
+    """Add to each action how often it is recognised; returns the content of `vocabulary.npz`.
+
+    Args:
+        vocabulary: of the bundle.
+        report: JSON that `kinegraph_benchmarks.quality.recognition` wrote.
+        bundle: folder of the bundle, which the report must have measured.
+
+    Raises:
+        InvalidInputError: the report is of other bundles.
+    """
+    manifest = decode_manifest((bundle / "manifest.json").read_bytes())
+    name = f"{manifest.name} {manifest.version}"
+    measured = json.loads(report.read_text(encoding="utf-8"))["bundles"]
+    if name not in measured:
+        raise InvalidInputError(f"{report} has measured {', '.join(measured) or 'nothing'}, not {name}")
+    shares = {action: round(float(row["generated"]), 2) for action, row in measured[name]["actions"].items()}
+    phrases = tuple(
+        dataclasses.replace(phrase, recognised=shares.get(phrase.name) if phrase.kind == "action" else None)
+        for phrase in vocabulary.facts.phrases
+    )
+    return pack_vocabulary(dataclasses.replace(vocabulary.facts, phrases=phrases), vocabulary.embeddings)
+
+
 def text_files_of(bundle: Path) -> Path:
     """Return the folder of the files that read text for a bundle: its own, or that of installed bundles."""
     return bundle if (bundle / "text_encoder.onnx").is_file() else text_files_folder()
@@ -233,11 +262,20 @@ def text_files_of(bundle: Path) -> Path:
 def main(argv: list[str] | None = None) -> None:
     """Run the command line."""
     parser = argparse.ArgumentParser(prog="kinegraph_export.vocabulary", description=__doc__.split("\n")[0])
-    parser.add_argument("--data", type=Path, nargs="+", required=True, help="folders with the training clips")
+    parser.add_argument("--data", type=Path, nargs="+", help="folders with the training clips")
+    parser.add_argument("--recognition", type=Path, help="report of how often each action is recognised (JSON)")
     parser.add_argument("--bundle", type=Path, required=True, help="folder of the bundle, which is changed")
     options = parser.parse_args(argv)
-    shown = [clip for folder in options.data for clip in read_data_captions(folder)]
-    data = build_vocabulary(shown, CaptionEncoder(text_files_of(options.bundle)))
+    if not options.data and not options.recognition:
+        parser.error("--data, --recognition or both are needed")
+    if options.data:
+        shown = [clip for folder in options.data for clip in read_data_captions(folder)]
+        data = build_vocabulary(shown, CaptionEncoder(text_files_of(options.bundle)))
+    else:
+        data = (options.bundle / FILE).read_bytes()
+    if options.recognition:
+        width = decode_manifest((options.bundle / "manifest.json").read_bytes()).text.width
+        data = with_recognition(read_vocabulary(data, width), options.recognition, options.bundle)
     add_to_bundle(options.bundle, data)
     print(f"{FILE}: {len(data) / 1e3:.0f} kB in {options.bundle}")
 

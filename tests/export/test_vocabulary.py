@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 pytest.importorskip("torch")
@@ -131,6 +132,25 @@ def test_the_command_adds_it_to_a_bundle_and_seals_the_manifest(tmp_path: Path) 
         assert found.vocabulary is not None and found.vocabulary.facts.phrases[0].clips == 3
     after = {path.name: path.read_bytes() for path in bundle.iterdir()}
     assert {name for name in after if after[name] != before.get(name)} == {FILE, "manifest.json"}
+
+
+def test_the_command_adds_how_often_actions_are_recognised(tmp_path: Path) -> None:
+    bundle, report = with_parser(tmp_path / "bundle"), tmp_path / "recognition.json"
+    main(["--data", str(write_folder(tmp_path / "data")), "--bundle", str(bundle)])
+    plain = read_bundle(bundle)
+    name = f"{plain.manifest.name} {plain.manifest.version}"
+    report.write_text(json.dumps({"bundles": {name: {"actions": {"walk": {"generated": 0.667}}}}}))
+    main(["--recognition", str(report), "--bundle", str(bundle)])
+    found = read_bundle(bundle).vocabulary
+    assert found is not None and plain.vocabulary is not None
+    assert {phrase.name: phrase.recognised for phrase in found.facts.phrases if phrase.recognised} == {"walk": 0.67}
+    assert found.facts.words == plain.vocabulary.facts.words
+    np.testing.assert_allclose(found.embeddings, plain.vocabulary.embeddings, atol=1e-3)
+    report.write_text(json.dumps({"bundles": {"other 1": {}}}))
+    with pytest.raises(InvalidInputError, match=f"other 1, not {name}"):
+        main(["--recognition", str(report), "--bundle", str(bundle)])
+    with pytest.raises(SystemExit):
+        main(["--bundle", str(bundle)])
 
 
 def test_a_run_remembers_the_captions_it_was_shown(tmp_path: Path) -> None:

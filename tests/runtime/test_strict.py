@@ -6,6 +6,7 @@ import json
 import re
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +16,7 @@ from kinegraph import Concept, MotionPipeline, UnknownWordsError, cli
 from kinegraph.bundle.reader import read_bundle
 from kinegraph.bundle.vocabulary import FILE, pack_vocabulary, read_vocabulary, sentences_to_embed
 from kinegraph.cli.arguments import SHOWN_ACTIONS
+from kinegraph.cli.inspect import words_record, words_text
 from kinegraph.clip import Clip
 from kinegraph.denoising import LatentSampler
 from kinegraph.errors import InvalidInputError
@@ -23,7 +25,7 @@ from kinegraph.unknown import Unknown
 from support.cli_runs import fails
 from support.motions import walk
 from support.toy import TOY_BUNDLE, with_parser
-from support.vocabularies import graph_of, small_facts, vocabulary_file
+from support.vocabularies import BagEncoder, graph_of, small_facts, small_vocabulary, vocabulary_file
 
 FEW: dict[str, Any] = {"seconds": 2, "seed": 3, "steps": 2}
 JUGGLES = "a person walks and juggles"
@@ -207,9 +209,24 @@ def test_info_lists_what_is_known(words_bundle: Path, capsys: pytest.CaptureFixt
     assert cli.main(["info", "--words", "--json", "--bundle", str(words_bundle)]) == 0
     record = json.loads(capsys.readouterr().out)
     assert record["styles"] == [
-        {"name": "giant", "example": "a person walks like a giant", "clips": 3, "wordings": ["like a giant"]}
+        {
+            "name": "giant",
+            "example": "a person walks like a giant",
+            "clips": 3,
+            "recognised": None,
+            "wordings": ["like a giant"],
+        }
     ]
     assert [phrase["name"] for phrase in record["actions"]] == ["walk", "raise-left", "raise-right", "wave"]
+
+
+def test_info_lists_how_often_actions_are_recognised_where_that_was_measured() -> None:
+    facts = small_facts()
+    phrases = [replace(phrase, recognised=0.25 if phrase.name == "wave" else None) for phrase in facts.phrases]
+    known = replace(small_vocabulary(BagEncoder()), facts=replace(facts, phrases=tuple(phrases)))
+    text = words_text(words_record(replace(read_bundle(), vocabulary=known)))
+    assert "share of its own clips that a classifier recognises" in text
+    assert re.search(r"wave +4  0\.25  a person waves\n", text) and re.search(r"walk +\d+     -  a person walks\n", text)
 
 
 def test_info_of_a_bundle_without_a_vocabulary_says_so(bundle: Path, capsys: pytest.CaptureFixture[str]) -> None:

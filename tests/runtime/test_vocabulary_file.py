@@ -100,6 +100,8 @@ NAN, INFINITE, ZERO = (np.full((ROWS, 8), value, np.float16) for value in (np.na
         (packed(changed(phrases=[{**changed()["phrases"][0], "kind": "song"}])), "kind must be one of"),
         (packed(changed(phrases=[{**changed()["phrases"][0], "clips": -1}])), "-1 clips"),
         (packed(changed(phrases=[{**changed()["phrases"][0], "wordings": []}])), "no wording"),
+        (packed(changed(phrases=[{**changed()["phrases"][0], "recognised": 1.5}])), "recognised 1.5, not 0 to 1"),
+        (packed(changed(phrases=[{**changed()["phrases"][0], "recognised": "often"}])), "recognised must be float"),
     ],
 )
 def test_broken_files_are_refused(data: bytes, message: str) -> None:

@@ -51,6 +51,8 @@ class Phrase:
     """A sentence for it."""
     wordings: tuple[str, ...]
     """Ways to say it, as they stand in `ACTION_SENTENCE` or `STYLE_SENTENCE`."""
+    recognised: float | None = None
+    """Share of clips made for it that a classifier of captured motion takes for it; None where it was not measured."""
 
 
 @dataclass(frozen=True)
@@ -94,6 +96,8 @@ class Vocabulary:
         for phrase in facts.phrases:
             _require(phrase.clips >= 0, f"phrase {phrase.name!r} has {phrase.clips} clips")
             _require(bool(phrase.wordings), f"phrase {phrase.name!r} has no wording")
+            share = phrase.recognised
+            _require(share is None or 0 <= share <= 1, f"phrase {phrase.name!r} is recognised {share}, not 0 to 1")
         for name in ("paraphrase", "near"):
             value = getattr(facts, name)
             _require(0 <= value <= 1, f"{name} must be 0 to 1, found {value}")

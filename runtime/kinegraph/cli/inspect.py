@@ -189,6 +189,7 @@ def words_record(bundle: Bundle) -> dict[str, Any]:
                     "name": phrase.name,
                     "example": phrase.example,
                     "clips": phrase.clips,
+                    "recognised": phrase.recognised,
                     "wordings": list(phrase.wordings),
                 }
                 for phrase in bundle.vocabulary.facts.phrases
@@ -207,10 +208,22 @@ def words_text(record: Mapping[str, Any]) -> str:
             "`kinegraph info` prints what its maker says of it; `python -m kinegraph_export.vocabulary` adds the file"
         )
     lines = [f"{title} was shown these, in recorded clips, and their compositions; other words are told"]
+    measured = any(phrase["recognised"] is not None for phrase in record["actions"])
+    if measured:
+        lines.append("(clips shown, share of its own clips that a classifier recognises, example)")
     for kind in ("actions", "styles"):
-        rows = {phrase["name"]: f"{phrase['clips']:>5}  {phrase['example']}" for phrase in record[kind]}
+        rows = {
+            phrase["name"]: f"{phrase['clips']:>5}  {_share(phrase['recognised'])}{phrase['example']}"
+            if measured
+            else f"{phrase['clips']:>5}  {phrase['example']}"
+            for phrase in record[kind]
+        }
         lines += _section(kind, rows)
     return "\n".join(lines)
+
+
+def _share(share: float | None) -> str:
+    return f"{'-' if share is None else format(share, '.2f'):>4}  "
 
 
 def verify_text(report: VerifyReport) -> str:

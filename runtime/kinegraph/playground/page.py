@@ -66,7 +66,7 @@ def page_facts(pipeline: MotionPipeline) -> dict[str, Any]:
         "character_bytes": CHARACTER_BYTES,
         "example": EXAMPLE,
         "phrases": [
-            {"kind": phrase.kind, "clips": phrase.clips, "example": phrase.example, "wordings": phrase.wordings}
+            {name: getattr(phrase, name) for name in ("kind", "clips", "recognised", "example", "wordings")}
             for phrase in (vocabulary.facts.phrases if vocabulary else ())
         ],
     }
