@@ -121,7 +121,8 @@ def is_long(request: pytest.FixtureRequest) -> bool:
 @pytest.hookimpl(trylast=True)
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     """Keep what `--only-skipped` asks for, files with slow tests first, so that no worker ends with one alone."""
-    skipped = config.cache and config.cache.get(_SKIPPED, None)
+    cache = getattr(config, "cache", None)  # missing with -p no:cacheprovider
+    skipped = cache and cache.get(_SKIPPED, None)
     if config.getoption("--only-skipped") and skipped is not None:  # without a run before, everything runs
         chosen, others = [], []
         for item in items:
@@ -136,8 +137,9 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter, config: pytest.Config) -> None:
     """Remember what was skipped and print the figures; reports of other processes (xdist) come here too."""
     whole = config.args_source is pytest.Config.ArgsSource.TESTPATHS and not config.getoption("--only-skipped")
-    if whole and config.cache:
-        config.cache.set(_SKIPPED, sorted({report.nodeid for report in terminalreporter.stats.get("skipped", [])}))
+    cache = getattr(config, "cache", None)
+    if whole and cache:
+        cache.set(_SKIPPED, sorted({report.nodeid for report in terminalreporter.stats.get("skipped", [])}))
     reports = [report for outcome in ("passed", "failed") for report in terminalreporter.stats.get(outcome, [])]
     lines = [line for report in reports for name, line in report.user_properties if name == _FIGURE]
     if lines:

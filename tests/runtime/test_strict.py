@@ -226,7 +226,9 @@ def test_info_lists_how_often_actions_are_recognised_where_that_was_measured() -
     known = replace(small_vocabulary(BagEncoder()), facts=replace(facts, phrases=tuple(phrases)))
     text = words_text(words_record(replace(read_bundle(), vocabulary=known)))
     assert "share of its own clips that a classifier recognises" in text
-    assert re.search(r"wave +4  0\.25  a person waves\n", text) and re.search(r"walk +\d+     -  a person walks\n", text)
+    assert re.search(r"wave +4  0\.25  a person waves\n", text) and re.search(
+        r"walk +\d+     -  a person walks\n", text
+    )
 
 
 def test_info_of_a_bundle_without_a_vocabulary_says_so(bundle: Path, capsys: pytest.CaptureFixture[str]) -> None:
