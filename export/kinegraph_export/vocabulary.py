@@ -54,6 +54,8 @@ MIN_CLIPS: Final = 3
 """Recorded clips that an action or a style needs to count as known; fewer cannot teach it."""
 MAX_WORDINGS: Final = 5
 """Wordings of an action that the grammar does not name, taken from its captions."""
+TRUSTED: Final = 0.5
+"""Share of the captured clips of an action from which the classifier's opinion of generated ones counts."""
 PARAPHRASE: Final = 0.66
 NEAR: Final = 0.3
 """Cosines of `bundle.vocabulary.Facts`; measured by `kinegraph_benchmarks.quality.unknown_words`."""
@@ -233,6 +235,8 @@ def add_to_bundle(folder: Path, data: bytes) -> None:
 def with_recognition(vocabulary: Vocabulary, report: Path, bundle: Path) -> bytes:
     """Add to each action how often it is recognised; returns the content of `vocabulary.npz`.
 
+    Actions that the classifier does not know in captured clips either (`TRUSTED`) get no share.
+
     Args:
         vocabulary: of the bundle.
         report: JSON that `kinegraph_benchmarks.quality.recognition` wrote.
@@ -246,7 +250,11 @@ def with_recognition(vocabulary: Vocabulary, report: Path, bundle: Path) -> byte
     measured = json.loads(report.read_text(encoding="utf-8"))["bundles"]
     if name not in measured:
         raise InvalidInputError(f"{report} has measured {', '.join(measured) or 'nothing'}, not {name}")
-    shares = {action: round(float(row["generated"]), 2) for action, row in measured[name]["actions"].items()}
+    shares = {
+        action: round(float(row["generated"]), 2)
+        for action, row in measured[name]["actions"].items()
+        if row["captured"] >= TRUSTED
+    }
     phrases = tuple(
         dataclasses.replace(phrase, recognised=shares.get(phrase.name) if phrase.kind == "action" else None)
         for phrase in vocabulary.facts.phrases

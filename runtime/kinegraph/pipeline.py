@@ -60,7 +60,7 @@ from kinegraph.request import NEVER_STOOD, STANDING, interpret, share_frames, sp
 from kinegraph.slot_conditioning import SlotEncoder
 from kinegraph.text.parser import LazyParser, check_caption
 from kinegraph.text.tokenizer import CaptionTokenizer
-from kinegraph.text.vocabulary import find_unknown
+from kinegraph.text.vocabulary import find_seldom, find_unknown
 from kinegraph.unknown import Unknown, describe_unknown
 from kinegraph.validation import check_callback, check_flag, short_repr
 
@@ -568,7 +568,7 @@ class MotionPipeline:
         deadline.check()
         caption = spec.joint.caption if isinstance(spec.joint, SemanticGraph) else spec.joint
         on_latent = self._on_latent(on_level, options, caption)
-        notes = tuple(dict.fromkeys(note for graph in plan.graphs for note in self.encoder.left_out(graph)))
+        notes = tuple(dict.fromkeys(note for graph in plan.graphs for note in self._notes_of(graph)))
         watch = deadline.watch(on_step)
         clip = pipe._decode_sample(conditions, plan.weights, options, caption, wanted, watch, on_latent)
         return replace(clip, unknown=unknown, notes=(*notes, *clip.notes))
@@ -806,6 +806,11 @@ class MotionPipeline:
             )
         return of_each
 
+    def _notes_of(self, graph: SemanticGraph) -> tuple[str, ...]:
+        """Tell what the networks have no room for, and what of a graph seldom comes out as asked."""
+        seldom = () if self.vocabulary is None else find_seldom(graph, self.vocabulary)
+        return (*self.encoder.left_out(graph), *seldom)
+
     def _encode(
         self, plan: SamplingPlan, options: GenerateOptions, *, own_length: bool
     ) -> tuple[list[GraphArrays], GenerateOptions]:
@@ -831,7 +836,7 @@ class MotionPipeline:
         features, sized = self._encode(plan, options, own_length=own_length and request.seconds is None)
         if not is_known and sized.frames > options.frames:
             sized = options
-        notes = (*request.notes, *self.encoder.left_out(request.wanted))
+        notes = (*request.notes, *self._notes_of(request.wanted))
         return _EncodedPart(self.encoder, graph, plan, features, sized, notes, request.is_timed)
 
     def _encode_sentence(

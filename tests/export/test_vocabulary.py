@@ -139,7 +139,8 @@ def test_the_command_adds_how_often_actions_are_recognised(tmp_path: Path) -> No
     main(["--data", str(write_folder(tmp_path / "data")), "--bundle", str(bundle)])
     plain = read_bundle(bundle)
     name = f"{plain.manifest.name} {plain.manifest.version}"
-    report.write_text(json.dumps({"bundles": {name: {"actions": {"walk": {"generated": 0.667}}}}}))
+    rows = {"walk": {"generated": 0.667, "captured": 1.0}, "crawl": {"generated": 0.1, "captured": 0.4}}
+    report.write_text(json.dumps({"bundles": {name: {"actions": rows}}}))
     main(["--recognition", str(report), "--bundle", str(bundle)])
     found = read_bundle(bundle).vocabulary
     assert found is not None and plain.vocabulary is not None

@@ -201,6 +201,25 @@ def test_known_sentences_print_nothing_on_stderr(
     assert capsys.readouterr().err == ""
 
 
+def test_a_clip_tells_what_is_known_and_seldom_comes_out(tmp_path: Path, here: Path, capsys: Any) -> None:
+    pytest.importorskip("spacy")
+    facts = small_facts(paraphrase=1.0, near=0.0)
+    phrases = [replace(phrase, recognised=0.1 if phrase.name == "wave" else 0.9) for phrase in facts.phrases]
+    facts = replace(facts, phrases=tuple(phrases))
+    embedded = MotionPipeline.load(TOY_BUNDLE, threads=1).encoder.embed(sentences_to_embed(facts))
+    folder = with_parser(tmp_path / "bundle", {FILE: pack_vocabulary(facts, embedded)})
+    pipe = MotionPipeline.load(folder, threads=1)
+    waving, walking = "a person waves with the right hand", "a person walks"
+    (note,) = pipe.generate(waving, **FEW).notes
+    assert note == "'waves with the right hand' seldom comes out as asked: it is recognised in 10% of its clips"
+    assert pipe.generate(walking, **FEW).notes == ()
+    assert pipe.sequence([walking, waving], **FEW).notes == (note,)
+    assert note in pipe.compose([waving, walking], **FEW).notes
+    assert [clip.notes for clip in pipe.batch([walking, waving], **FEW)] == [(), (note,)]
+    assert cli.main(["generate", waving, *FLAGS, "--bundle", str(folder), "-o", "clip.npz"]) == 0
+    assert "seldom comes out as asked" in capsys.readouterr().err
+
+
 def test_info_lists_what_is_known(words_bundle: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main(["info", "--words", "--bundle", str(words_bundle)]) == 0
     text = capsys.readouterr().out

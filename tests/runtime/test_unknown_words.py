@@ -3,20 +3,23 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from kinegraph.bundle.vocabulary import Phrase, Vocabulary, sentences_to_embed
 from kinegraph.errors import InvalidInputError
 from kinegraph.graph import Action, Argument, SemanticGraph
-from kinegraph.text.vocabulary import find_unknown
+from kinegraph.text.vocabulary import find_seldom, find_unknown
 from kinegraph.text.words import edits_of, split_words, stem
 from kinegraph.unknown import MAX_NEAREST, Unknown, describe_unknown
-from support.vocabularies import BagEncoder, graph_of, small_vocabulary
+from support.vocabularies import BagEncoder, graph_of, small_facts, small_vocabulary
 
 ENCODER = BagEncoder()
 KNOWN = small_vocabulary(ENCODER)
+WALK_TO_GIANT = small_facts().phrases
 
 
 def told(caption: str, *verbs: str) -> list[tuple[str, str]]:
@@ -189,3 +192,60 @@ def test_what_is_no_unknown_word_is_refused(changes: dict[str, object]) -> None:
         Unknown.from_dict(record)
     with pytest.raises(InvalidInputError, match="keys"):
         Unknown.from_dict({key: value for key, value in record.items() if key != "reason"})
+
+
+# What is known, and yet seldom comes out
+
+
+def vocabulary_of(*phrases: Phrase) -> Vocabulary:
+    """Build a vocabulary of some phrases."""
+    facts = small_facts(phrases=phrases)
+    return Vocabulary(facts, ENCODER.rows(sentences_to_embed(facts)))
+
+
+def seldom(caption: str, *verbs: str, **shares: float) -> list[str]:
+    """Find what is told of a caption if actions (`raise_left` is "raise-left") are recognised in some shares."""
+    by_name = {name.replace("_", "-"): share for name, share in shares.items()}
+    phrases = [replace(phrase, recognised=by_name.get(phrase.name)) for phrase in WALK_TO_GIANT]
+    return [note.split(" seldom")[0] for note in find_seldom(graph_of(caption, *verbs), vocabulary_of(*phrases))]
+
+
+def test_an_action_that_seldom_comes_out_is_told_in_any_inflection() -> None:
+    known = vocabulary_of(replace(WALK_TO_GIANT[3], recognised=0.11))
+    assert find_seldom(graph_of("she is waving with the right hand", "waving"), known) == (
+        "'waves with the right hand' seldom comes out as asked: it is recognised in 11% of its clips",
+    )
+    assert seldom("a man raised the left hand", "raised", raise_left=0.0) == ["'raises the left hand'"]
+
+
+@pytest.mark.parametrize(
+    ("caption", "verbs", "shares"),
+    [
+        ("a person raises the left hand", ["raises"], {"raise_left": 0.2}),
+        ("a person raises the left hand", ["raises"], {"raise_right": 0.0}),
+        ("a person raises the left hand", ["raises"], {}),
+        ("a person walks", ["walks"], {"wave": 0.0}),
+    ],
+)
+def test_nothing_is_told_of_what_comes_out_or_was_not_measured(
+    caption: str, verbs: list[str], shares: dict[str, float]
+) -> None:
+    assert seldom(caption, *verbs, **shares) == []
+
+
+def test_each_clause_is_looked_at_and_what_is_negated_is_not_wanted() -> None:
+    caption = "a person walks and raises the left hand"
+    shares = {"walk": 0.1, "raise_left": 0.0}
+    assert seldom(caption, "walks", "raises", **shares) == ["'walks'", "'raises the left hand'"]
+    graph = graph_of(caption, "walks", "raises")
+    never = replace(graph, actions=(graph.actions[0], replace(graph.actions[1], negated=True)))
+    assert find_seldom(never, vocabulary_of(replace(WALK_TO_GIANT[1], recognised=0.0))) == ()
+
+
+def test_the_longest_wording_decides() -> None:
+    assert seldom("a person walks forward", "walks", walk=0.1) == ["'walks forward'"]
+    walk = replace(WALK_TO_GIANT[0], wordings=("walks",), recognised=0.9)
+    forward = replace(walk, name="walk-forward", wordings=("walks forward",), recognised=0.1)
+    known = vocabulary_of(walk, forward)
+    assert find_seldom(graph_of("a person walks", "walks"), known) == ()
+    assert len(find_seldom(graph_of("a person walks forward", "walks"), known)) == 1

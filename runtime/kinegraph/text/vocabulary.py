@@ -8,6 +8,8 @@
    phrases, and with other actions that training did not show ("strolls" is near to "walks", "hops" to "jumps").
 
 The text encoder runs only where something is unknown, once for all clauses of a sentence.
+
+`find_seldom` tells what is known, and yet seldom comes out as asked, where that was measured.
 """
 
 from __future__ import annotations
@@ -15,6 +17,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import Final, Protocol
 
 import numpy as np
@@ -45,6 +48,8 @@ NEAREST: Final = 3
 """Known phrases that are named for each unknown span."""
 MARGIN: Final = 0.01
 """Cosine by which another wording must be nearer to a known phrase than to any other action."""
+SELDOM: Final = 0.2
+"""Share of its clips below which an action that is recognised in them is told to come out seldom."""
 MASK: Final = "[MASK]"
 """Word piece of the text encoder for a word that an edit hides."""
 _MAX_SPANS: Final = 64
@@ -96,6 +101,38 @@ def find_unknown(graph: SemanticGraph, vocabulary: Vocabulary, encoder: PhraseEn
         encoder: of the same bundle; asked only where a word is unknown.
     """
     return _Finder(graph, vocabulary, encoder).find()
+
+
+def find_seldom(graph: SemanticGraph, vocabulary: Vocabulary) -> tuple[str, ...]:
+    """Tell which actions of a graph are recognised in fewer than `SELDOM` of the clips that the bundle makes of them.
+
+    A clause asks for the action whose wording it holds, in any inflection; of several, for that of the longest wording,
+    or the best recognised. An action that was not measured, or is negated, is not told.
+    """
+    words = split_words(graph.caption)
+    wanted = {action.start for action in graph.actions if not action.negated}
+    notes = []
+    for clause in split_clauses(words, graph):
+        if wanted.isdisjoint(words[index].start for index in clause):
+            continue
+        said = " ".join(["", *(stem(words[index].text) for index in clause), ""])
+        held = [(len(stems), share, wording) for stems, share, wording in _measured(vocabulary) if stems in said]
+        if held:
+            _, share, wording = max(held)
+            if share < SELDOM:
+                notes.append(f"{wording!r} seldom comes out as asked: it is recognised in {share:.0%} of its clips")
+    return tuple(dict.fromkeys(notes))
+
+
+@lru_cache(maxsize=4)
+def _measured(vocabulary: Vocabulary) -> list[tuple[str, float, str]]:
+    """List stems, share and text of each wording of the actions that were measured."""
+    return [
+        (" ".join(["", *(stem(word.text) for word in split_words(wording)), ""]), phrase.recognised, wording)
+        for phrase in vocabulary.facts.phrases
+        if phrase.recognised is not None
+        for wording in phrase.wordings
+    ]
 
 
 class _Finder:
