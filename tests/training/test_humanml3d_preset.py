@@ -1,9 +1,8 @@
-"""The preset `humanml3d` on a made HumanML3D folder: prepare, six steps, export, a clip; data stay in shards."""
+"""The preset `humanml3d` on a made HumanML3D folder: prepare, twenty steps, export, a clip, figures; data in shards."""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
@@ -25,9 +24,10 @@ from kinegraph_training.latents import read_vae
 from kinegraph_training.layouts import HUMANML3D_263
 from kinegraph_training.prepare import main as prepare
 from kinegraph_training.stored_features import StoredFeatures
+from support.evaluating import evaluate_once
 from support.motions import walk
 from support.published_sets import write_guo_set
-from support.toy_run import ASSETS, run_stage, steps_of
+from support.toy_run import ASSETS, CARD, run_stage, steps_of
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(1200), pytest.mark.usefixtures("traces")]
 
@@ -49,11 +49,11 @@ feed_forward = 64
 [vae.specific]
 tokens = 8
 [vae_training.shared]
-steps = 6
+steps = 20
 batch = 800
 warmup = 2
 [vae_training.specific]
-steps = 6
+steps = 20
 warmup = 2
 [denoiser]
 width = 32
@@ -62,18 +62,11 @@ heads = 2
 feed_forward = 64
 context_layers = 1
 [denoiser_training]
-steps = 6
+steps = 20
 batch = 8
 warmup = 2
 """
 """The preset at a size that trains in seconds."""
-
-CARD: Mapping[str, object] = {
-    "name": "made", "version": "0", "training_data": "made by the tests", "scope": {}, "training": {}, "quality": {},
-    "licence": dict.fromkeys(("code", "weights", "data", "text_encoder", "parser"), "public domain"),
-    "steps": {"motion": 2, "action": 2, "specific": 3}, "guidance": {"motion": 2.0, "action": 2.0, "specific": 2.0},
-    "guidance_base": "coarse", "seconds": 2.0,
-}  # fmt: skip
 
 
 @pytest.fixture(scope="module")
@@ -119,12 +112,12 @@ def test_features_are_read_from_shards_as_if_they_were_in_memory(folder: Path) -
 
 def test_all_stages_took_their_steps(folder: Path) -> None:
     run = folder / "run"
-    assert {steps_of(run / f"vae_{level}" / "last.ckpt") for level in LEVELS} == {6}
-    assert steps_of(run / "denoisers" / "last.ckpt") == 6
+    assert {steps_of(run / f"vae_{level}" / "last.ckpt") for level in LEVELS} == {20}
+    assert steps_of(run / "denoisers" / "last.ckpt") == 20
     assert len(read_vae(run / "vae_specific" / "last.ckpt").mean) == 263
 
 
-def test_the_bundle_decodes_features_of_humanml3d(folder: Path) -> None:
+def test_the_bundle_decodes_features_of_humanml3d_and_is_evaluated(folder: Path) -> None:
     (folder / "card.json").write_text(json.dumps(CARD))
     words = ["--run", str(folder / "run"), "--assets", str(ASSETS), "--card", str(folder / "card.json")]
     export_bundle.main([*words, "--out", str(folder / "bundle"), "--precision", "fp32"])
@@ -135,3 +128,6 @@ def test_the_bundle_decodes_features_of_humanml3d(folder: Path) -> None:
     assert clip.joints.shape == (40, 22, 3) and np.isfinite(clip.joints).all()
     assert pipe.manifest.defaults.seconds == 2.0
     assert joints_from_humanml3d(np.zeros((2, 263))).shape == (2, 22, 3)
+    figures = evaluate_once(folder / "data", folder / "bundle")
+    assert figures["generated"]["clips"] >= 2
+    assert {"r_precision_1", "fid", "diversity"} <= set(figures["captured"]) <= set(figures["generated"]["mean"])

@@ -51,8 +51,8 @@ class Reference:
 
     @property
     def labels(self) -> list[str]:
-        """Action and style of each clip, "action/style"."""
-        return [f"{clip.action}/{clip.style}" for clip in self.clips]
+        """Action and style of each clip, "action/style"; of one without labels its id, so that it is like no other."""
+        return [f"{clip.action}/{clip.style}" if clip.action or clip.style else clip.id for clip in self.clips]
 
 
 @dataclass(frozen=True)
@@ -89,14 +89,17 @@ def score_motions(
     values = {f"r_precision_{top}": float(hit) for top, hit in enumerate(hits, start=1)}
     values["fid"] = frechet_distance(embedded, reference.embeddings)
     half, other = np.array_split(rng.permutation(len(embedded)), 2)
-    # Clips that the two sides do not share: for captured motion this is the floor to compare with.
-    values["fid_of_halves"] = frechet_distance(embedded[half], reference.embeddings[other])
+    if min(len(half), len(other)) > 1:  # a single clip has no covariance
+        # Clips that the two sides do not share: for captured motion this is the floor to compare with.
+        values["fid_of_halves"] = frechet_distance(embedded[half], reference.embeddings[other])
     values["mm_dist"] = matching_distance(texts, embedded)
     values["diversity"] = diversity(embedded, rng)
     kept = label_hits(motions, reference.clips, judges.classifier)
     values |= mean_rates(kept) | claim_rates(motions, captions)
     values["jerk"] = float(np.mean([metrics.jerk(joints) for joints in motions]))
-    values["foot_skate"] = float(np.nanmean([metrics.foot_skate(joints) for joints in motions]))
+    skating = np.array([metrics.foot_skate(joints) for joints in motions])
+    if not np.isnan(skating).all():  # some foot stands
+        values["foot_skate"] = float(np.nanmean(skating))
     waving = [joints for joints, clip in zip(motions, reference.clips, strict=True) if is_wave(clip)]
     if waving:
         values["wave_speed"] = float(np.mean([metrics.hand_speed(joints) for joints in waving]))
@@ -147,7 +150,7 @@ def label_hits(
 
     Returns:
         Per clip (n,) 1 for yes and 0 for no. "behaviour": the predicate of its action holds (nan where there is none);
-        "content" and "style": the classifier recognises its action and its style.
+        "content" and "style": the classifier recognises its action and its style; neither where no clip has a label.
     """
     does = [
         float(PREDICATES[clip.action](joints)) if clip.action in PREDICATES else np.nan
@@ -155,8 +158,10 @@ def label_hits(
     ]
     hits = {"behaviour": np.array(does)}
     for name in ("content", "style"):
-        labels = classifier(motions, name)
-        hits[name] = np.array([float(label == LABELS[name](clip)) for label, clip in zip(labels, clips, strict=True)])
+        expected = [LABELS[name](clip) for clip in clips]
+        if any(expected):
+            shown = classifier(motions, name)
+            hits[name] = np.array([float(a == b) for a, b in zip(shown, expected, strict=True)])
     return hits
 
 
@@ -167,11 +172,15 @@ def mean_rates(hits: dict[str, NDArray[np.float64]], rows: Sequence[int] | None 
 
 
 def rates_by_label(hits: dict[str, NDArray[np.float64]], reference: Reference) -> dict[str, dict[str, float]]:
-    """Compute `mean_rates` of each pair of action and style, to see where the rates of a split are lost."""
+    """Compute `mean_rates` of each pair of action and style, to see where the rates of a split are lost.
+
+    Clips without labels have none.
+    """
     rows_of: dict[str, list[int]] = {}
     for row, label in enumerate(reference.labels):
         rows_of.setdefault(label, []).append(row)
-    return {label: mean_rates(hits, rows) for label, rows in sorted(rows_of.items())}
+    rates = {label: mean_rates(hits, rows) for label, rows in sorted(rows_of.items())}
+    return {label: rate for label, rate in rates.items() if rate}
 
 
 def has_near_twin(clips: Sequence[MotionClip], train: Sequence[MotionClip], frames: int = 32) -> list[bool]:
