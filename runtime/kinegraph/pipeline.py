@@ -907,7 +907,6 @@ class MotionPipeline:
         of_sentence: Sequence[int] = (),
     ) -> Clip:
         """Sample parts, each with its seed and from the last frames of the one before; see `_make_parts`."""
-        from kinegraph.clip_editing import begin_in
         from kinegraph.constraints import POSE_SECONDS
         from kinegraph.motion.body_frame import append_part
 
@@ -915,17 +914,23 @@ class MotionPipeline:
         clips: list[Clip] = []
         joints: FloatArray | None = None
         for index, (part, seed) in enumerate(parts):
-            wanted = None if joints is None else begin_in(joints[-overlap:], self.sampler)
+            begin = None if joints is None else joints[-overlap:]
             _, options = with_margins(part.options, self.manifest, 0 if joints is None else overlap, 0)
             sized, progress = part.with_options(options), subrange_progress(on_step, index, len(parts))
-            make = partial(self._sample, sized, seed, progress, wanted=wanted)
-            begins = b"" if joints is None else joints[-overlap:].tobytes()
-            key = _key(self, sized, seed, begins)
+            make = partial(self._sample_from, begin, sized, seed, progress)
+            key = _key(self, sized, seed, b"" if begin is None else begin.tobytes())
             clips.append(make() if memory is None else memory.part(of_sentence[index], key, make))
             joints = clips[-1].joints if joints is None else append_part(joints, clips[-1].joints, overlap)
         assert joints is not None
         notes = tuple(note for clip in clips for note in clip.notes)
         return replace(clips[0], joints=joints, graph=None, notes=notes, misses=())
+
+    def _sample_from(self, begin: FloatArray | None, part: _EncodedPart, seed: int, on_step: OnStep | None) -> Clip:
+        """Sample a part that begins in frames (n, 22, 3), if any; see `_sample`."""
+        from kinegraph.clip_editing import begin_in
+
+        wanted = None if begin is None else begin_in(begin, self.sampler)
+        return self._sample(part, seed, on_step, wanted=wanted)
 
     def _energy_parts(self, parts: Sequence[tuple[_EncodedPart, int]], on_step: OnStep | None) -> Clip:
         """Sample parts in one run of skeleton space, from the noise of the first seed (EnergyMoGen, Eq. 11)."""

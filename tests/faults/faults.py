@@ -220,6 +220,14 @@ FAULTS: tuple[Fault, ...] = (
     ),
     Fault(
         4,
+        "graphs of gradients that are none",
+        "bundle/onnx_split.py",
+        "        if tensor.encode() not in given:",
+        "        if False:",
+        "runtime/test_onnx_split.py -k refused",
+    ),
+    Fault(
+        4,
         "edits that keep what is no part",
         "keeping.py",
         "            if item not in PARTS:",
@@ -230,8 +238,8 @@ FAULTS: tuple[Fault, ...] = (
         6,
         "a sequence continues from anywhere",
         "pipeline.py",
-        "            wanted = None if joints is None else begin_in(joints[-overlap:], self.sampler)",
-        "            wanted = None",
+        "        wanted = None if begin is None else begin_in(begin, self.sampler)",
+        "        wanted = None",
         "runtime/test_sequence.py -k continue_from",
     ),
     Fault(

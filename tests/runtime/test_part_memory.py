@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from kinegraph import InvalidInputError, MotionPipeline
+from kinegraph import InvalidInputError, MotionPipeline, clip_editing
 from kinegraph.clip import Clip
 from kinegraph.part_memory import PartMemory
 
@@ -88,3 +88,13 @@ def test_the_memory_is_bounded_in_number_and_bytes(toy: MotionPipeline) -> None:
     assert none.bytes == 0 and none.get("a") is None
     with pytest.raises(InvalidInputError, match="memory is a PartMemory or None"):
         toy.sequence(TEXTS, **FEW, memory={})  # type: ignore[arg-type]
+
+
+def test_what_is_remembered_asks_for_no_constraint(toy: MotionPipeline, monkeypatch: pytest.MonkeyPatch) -> None:
+    if not toy.sampler.sessions.decoder_gradients:
+        pytest.skip("the toy bundle has no gradients")
+    memory, options = PartMemory(), {"seconds": 1, "steps": 2, "seed": 4, "method": "continue"}
+    made = toy.sequence(TEXTS[:2], **options, memory=memory)
+    monkeypatch.setattr(clip_editing, "begin_in", lambda *_: pytest.fail("a part that is kept was prepared"))
+    again = toy.sequence(TEXTS[:2], **options, memory=memory)
+    assert memory.made == () and again.joints.tobytes() == made.joints.tobytes()
