@@ -30,7 +30,7 @@ from kinegraph.constraints import Constraint, Miss
 from kinegraph.decoding import MotionDecoder
 from kinegraph.denoising import LatentSampler, OnLatent, sample_hierarchy
 from kinegraph.diffusion.composition import CompositionWeights
-from kinegraph.diffusion.constraint_energy import Term, constraint_terms, total_energy
+from kinegraph.diffusion.constraint_energy import Term, constraint_terms, seam_terms, total_energy
 from kinegraph.diffusion.descent import Evaluation, Limits, descend
 from kinegraph.diffusion.sampling import DdimCoefficients, OnStep, PredictNoise, StepInfo, is_stop
 from kinegraph.errors import Cancelled, InvalidInputError
@@ -49,11 +49,18 @@ from kinegraph.validation import check_flag, finite_number, short_repr
 MAX_PULL: Final = 0.5
 """Largest root mean square by which one step moves the clean latent, whose channels have a deviation of 1."""
 PULLED_FROM: Final = 0.25
-"""Share of a level's steps before the first that is pulled: at first the clean estimate is noise yet."""
+"""Share of a level's steps before the first that is pulled: at first the clean estimate is noise yet.
+
+At the finest level only the last step is: what motion it is, the coarser levels have decided, and the descent goes on
+from there (measured: with all steps pulled and shorter descents, paths are missed by twice as much).
+"""
 MAX_LATENT: Final = 1.3
 """Largest root mean square of a pulled latent: further out the decoder knows no motion, whatever is wanted."""
-DESCENT_STEPS: Final = 15
+DESCENT_STEPS: Final = 18
 """Steps of the descent on the finest latent; they count as steps of the call."""
+STALL_STEPS: Final = 4
+STALLED: Final = 0.9
+"""Share of the energy of what is wanted: a descent that leaves more of it in `STALL_STEPS` ends."""
 MAX_AWAY: Final = 0.8
 """Largest root mean square by which the descent moves the latent."""
 CLOSE: Final = 0.008
@@ -63,7 +70,9 @@ HOLD: Final = 0.005
 STANCE_WEIGHT: Final = 2.0
 """Weight of planted feet that slide, and of feet under the floor, in the descent."""
 REACHING_ROUNDS: Final = 2
-"""Corrections in the joints: the first moves what the places of `EndPose` and `Loop` depend on."""
+"""Corrections in the joints, at most: the first moves what the places of `EndPose` and `Loop` depend on."""
+REACHED: Final = 1e-3
+"""Metres: a correction that leaves less is the last one."""
 MISSED: Final = 0.05
 """Metres from which a miss is told in the clip's notes."""
 
@@ -233,7 +242,9 @@ def _sample_joints(
     def make_predictor(level: str, ddim: DdimCoefficients, coarse: FloatArray | None) -> PredictNoise:
         predict = sampler.predictor(conditions, weights, [options], level, ddim, coarse)
         energy = DecodedEnergy(sampler.sessions, manifest, level, frames, leading)
-        pulled = ConstrainedPrediction(predict, energy, alpha_bar[ddim.timesteps], wanted.weight)
+        last = len(ddim.timesteps) - 1
+        pulled_from = last if level == LEVELS[-1] else min(PULLED_FROM * (last + 1), last)
+        pulled = ConstrainedPrediction(predict, energy, alpha_bar[ddim.timesteps], wanted.weight, pulled_from)
         if wanted.begin is None or level != LEVELS[-1]:
             return pulled
         first = wanted.begin.first_step(len(ddim.timesteps))
@@ -245,7 +256,8 @@ def _sample_joints(
     terms = wanted.terms(frames, fps)
     energy = DecodedEnergy(sampler.sessions, manifest, LEVELS[-1], frames, terms)
     wants = _Metered(terms)
-    standing = replace(energy, terms=(wants, *_standing(joints_from_features(energy.decode(latents)), fps)))
+    natural: tuple[Term, ...] = (_Standing(fps), *seam_terms(wanted.constraints, frames, fps))
+    standing = replace(energy, terms=(wants, *natural))
     enough = 0.5 * CLOSE**2 * (sum(constraint.weight for constraint in wanted.constraints) + (wanted.kept is not None))
     limits = Limits(
         steps=DESCENT_STEPS,
@@ -253,9 +265,12 @@ def _sample_joints(
         away=MAX_AWAY,
     )
 
+    lowest: list[float] = []
+
     def after(number: int) -> bool:
         progress.descended(number)
-        return wants.energy <= enough
+        lowest.append(min([wants.energy, *lowest[-1:]]))
+        return lowest[-1] <= enough or stalls(lowest)
 
     latents = descend(standing, latents, limits, after)
     progress.finished()
@@ -275,12 +290,15 @@ def corrected(joints: FloatArray, wanted: Wanted, fps: float, *, foot_fix: bool)
         foot_fix: lock planted feet.
     """
     lengths = np.median(bone_lengths(joints), axis=0)
-    for _ in range(REACHING_ROUNDS):
-        joints = reach(joints, wanted.pins(joints, fps), lengths, fps, foot_fix=foot_fix)
+    for number in range(REACHING_ROUNDS):
+        pins = wanted.pins(joints, fps)
+        if number > 0 and np.abs(pins.missed(joints)).max() < REACHED:
+            break
+        joints = reach(joints, pins, lengths, fps, foot_fix=foot_fix)
     return joints
 
 
-def _standing(joints: FloatArray, fps: float) -> tuple[Term, ...]:
+def _standing_terms(joints: Floats, fps: float) -> tuple[Term, ...]:
     """Make the energy of feet that stand where they stood, and not under the floor."""
     planted = np.zeros((len(joints) - 1, len(TOES)))
     weight = STANCE_WEIGHT / len(joints)
@@ -298,6 +316,18 @@ def _standing(joints: FloatArray, fps: float) -> tuple[Term, ...]:
 
 
 @dataclass
+class _Standing:
+    """The energy of feet that stand as in the first motion that it is given: where the descent begins."""
+
+    fps: float
+    terms: tuple[Term, ...] = ()
+
+    def __call__(self, joints: Floats) -> Energy:
+        self.terms = self.terms or _standing_terms(joints, self.fps)
+        return total_energy(self.terms, joints)
+
+
+@dataclass
 class _Metered:
     """The energy of what is wanted as one term, which remembers its last value."""
 
@@ -307,6 +337,15 @@ class _Metered:
     def __call__(self, joints: Floats) -> Energy:
         self.energy, gradient = total_energy(self.terms, joints)
         return self.energy, gradient
+
+
+def stalls(energies: Sequence[float]) -> bool:
+    """Tell whether the last `STALL_STEPS` of a descent hardly lowered the energy of what is wanted.
+
+    Args:
+        energies: the lowest so far, after each step.
+    """
+    return len(energies) > STALL_STEPS and energies[-1] > STALLED * energies[-1 - STALL_STEPS]
 
 
 @dataclass
@@ -357,24 +396,25 @@ class DecodedEnergy:
         """Decode a latent (1, C, z) to features (frames, F), not normalised."""
         inputs = {"latent": latent, "frame_mask": self._mask()}
         (features,) = run_model(self.sessions.decoder_of(self.level), ["features"], inputs, "the decoder")
-        mean, std = np.array(self.manifest.features.mean), np.array(self.manifest.features.std)
-        return np.asarray(features[0, : self.frames] * std + mean)
+        return self._without_padding(features)
 
     def __call__(self, latent: FloatArray) -> Evaluation:
         """Compute the energy of a latent (1, C, z), and how to compute its gradient (1, C, z)."""
-        features = self.decode(latent)
+        decoder = self.sessions.decoder_gradients[self.level]()
+        normalised, back = decoder.decode({"latent": latent, "frame_mask": self._mask()})
+        features = self._without_padding(normalised)
         energy, of_joints = total_energy(self.terms, joints_from_features(features).astype(np.float64))
-        return energy, lambda: self._gradient(latent, features, of_joints)
 
-    def _gradient(self, latent: FloatArray, features: DoubleArray, of_joints: Floats) -> FloatArray:
-        """Carry a gradient back from the joints to the latent that they were decoded from."""
-        mask = self._mask()
-        cotangent = np.zeros((1, mask.shape[1], features.shape[1]), dtype=np.float32)
-        cotangent[0, : self.frames] = joints_vjp(features, of_joints) * np.array(self.manifest.features.std)
-        inputs = {"latent": latent, "frame_mask": mask, "cotangent": cotangent}
-        session = self.sessions.decoder_gradients[self.level]()
-        (gradient,) = run_model(session, ["gradient"], inputs, "the gradient of the decoder")
-        return gradient
+        def gradient() -> FloatArray:
+            cotangent = np.zeros_like(normalised)
+            cotangent[0, : self.frames] = joints_vjp(features, of_joints) * np.array(self.manifest.features.std)
+            return back(cotangent)
+
+        return energy, gradient
+
+    def _without_padding(self, normalised: FloatArray) -> DoubleArray:
+        mean, std = np.array(self.manifest.features.mean), np.array(self.manifest.features.std)
+        return np.asarray(normalised[0, : self.frames] * std + mean)
 
     def _mask(self) -> FloatArray:
         group = self.manifest.frames.per_token
@@ -392,11 +432,12 @@ class ConstrainedPrediction:
     alpha_bar: DoubleArray
     """(K,) at the steps."""
     weight: float
+    first: float
+    """Step from which on it is pulled."""
 
     def __call__(self, latents: FloatArray, index: int) -> FloatArray:
         noise = self.predict(latents, index)
-        steps = len(self.alpha_bar)
-        if index < min(PULLED_FROM * steps, steps - 1):
+        if index < self.first:
             return noise
         alpha = float(self.alpha_bar[index])
         clean = ((latents - np.sqrt(1.0 - alpha) * noise) / np.sqrt(alpha)).astype(np.float32)

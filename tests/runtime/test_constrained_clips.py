@@ -12,6 +12,7 @@ import pytest
 
 from kinegraph import Cancelled, Clip, Concept, InvalidInputError, MotionPipeline, StepInfo
 from kinegraph.bundle.manifest import decode_manifest, encode_manifest
+from kinegraph.constrained_denoising import STALL_STEPS, STALLED, stalls
 from kinegraph.constraints import EndPose, JointTarget, Keyframe, Loop, Path, StartPose, Waypoint
 from kinegraph.motion.skeleton import PELVIS, bone_lengths
 from support.toy import TOY_BUNDLE
@@ -132,3 +133,10 @@ def test_a_bundle_without_gradients_refuses(tmp_path: Folder) -> None:
     pipe = MotionPipeline.load(folder, threads=1)
     with pytest.raises(InvalidInputError, match="add_gradients"):
         pipe.generate(WALK, constraints=[ASIDE], **FEW)
+
+
+def test_a_descent_that_hardly_goes_on_ends() -> None:
+    steep = [0.5**step for step in range(STALL_STEPS + 3)]
+    assert not stalls(steep) and not stalls([1.0] * STALL_STEPS)
+    assert stalls([*steep, *[steep[-1]] * STALL_STEPS])
+    assert not stalls([1.0, *[STALLED - 0.01] * STALL_STEPS]) and stalls([1.0, *[STALLED + 0.01] * STALL_STEPS])

@@ -22,9 +22,13 @@ TERMS: dict[str, Callable[[DoubleArray], Energy]] = {
         joints, np.full(joints.shape, 0.4), np.linspace(0.0, 2.0, joints.size).reshape(joints.shape)
     ),
     "heading": lambda joints: energies.heading_energy(joints, np.linspace(0.0, 3.0, 24), np.linspace(0.0, 1.0, 24)),
-    "pose at the start": lambda joints: energies.pose_energy(joints, POSE, 0, 0, np.linspace(0.5, 1.0, 4), 3.0),
-    "pose at the end": lambda joints: energies.pose_energy(joints, POSE, 20, 23, np.linspace(0.5, 1.0, 4), 3.0),
-    "pose at a moment": lambda joints: energies.pose_energy(joints, POSE[:1], 11, 11, np.ones(1), 0.0),
+    "pose at the start": lambda joints: energies.pose_energy(
+        joints, POSE, 0, 0, np.linspace(0.5, 1.0, 4), np.linspace(1.0, 3.0, 3)
+    ),
+    "pose at the end": lambda joints: energies.pose_energy(
+        joints, POSE, 20, 23, np.linspace(0.5, 1.0, 4), np.linspace(1.0, 3.0, 3)
+    ),
+    "pose at a moment": lambda joints: energies.pose_energy(joints, POSE[:1], 11, 11, np.ones(1), np.zeros(0)),
     "relative": lambda joints: energies.relative_energy(
         joints, np.full(joints.shape, 0.2), np.linspace(0.0, 1.0, 24 * 22).reshape(24, 22)
     ),
@@ -60,13 +64,17 @@ def test_what_is_as_wanted_has_no_energy() -> None:
 def test_a_pose_counts_wherever_it_is() -> None:
     heading = float(facing_angle(MOTION[[23]].astype(np.float32))[0])
     there = (MOTION[20:] - MOTION[23, PELVIS] * HORIZONTAL) @ turn("y", -heading).T
-    assert energies.pose_energy(MOTION, there, 20, 23, np.ones(4), 1.0)[0] == pytest.approx(0, abs=1e-9)
+    assert energies.pose_energy(MOTION, there, 20, 23, np.ones(4), np.ones(3))[0] == pytest.approx(0, abs=1e-9)
     moved = MOTION @ turn("y", 2.0).T + [3.0, 0.0, -1.0]
     for pose in (there, POSE):
-        here, away = (energies.pose_energy(joints, pose, 20, 23, np.ones(4), 1.0)[0] for joints in (MOTION, moved))
+        here, away = (
+            energies.pose_energy(joints, pose, 20, 23, np.ones(4), np.ones(3))[0] for joints in (MOTION, moved)
+        )
         assert away == pytest.approx(here, rel=1e-6, abs=1e-9)
     raised = MOTION + np.array([0.0, 0.1, 0.0])
-    assert energies.pose_energy(raised, there, 20, 23, np.ones(4), 0.0)[0] == pytest.approx(0.5 * 88 * 0.01, rel=1e-6)
+    assert energies.pose_energy(raised, there, 20, 23, np.ones(4), np.zeros(3))[0] == pytest.approx(
+        0.5 * 88 * 0.01, rel=1e-6
+    )
 
 
 def test_a_loop_wants_the_velocity_too() -> None:

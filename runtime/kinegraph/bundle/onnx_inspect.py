@@ -50,7 +50,7 @@ def summarise(data: bytes, name: str) -> OnnxSummary:
     findings = _Findings()
     try:
         _walk(_MODEL, data, 0, len(data), findings, 0)
-    except _MalformedError as error:
+    except MalformedError as error:
         raise BundleFormatError(f"{name} is not an ONNX model: {error}") from None
     if not findings.operators:
         raise BundleFormatError(f"{name} is not an ONNX model: it has no operators")
@@ -90,39 +90,39 @@ def with_initializers(graph: bytes, source: bytes, name: str) -> bytes:
         lacking = _names_without_tensor(graph)
         for tensor, start, stop in _initializers(source):
             if tensor in lacking:
-                found += _length_delimited(_INITIALIZER_OF_GRAPH, stop - start) + source[start:stop]
-    except _MalformedError as error:
+                found += length_delimited(_INITIALIZER_OF_GRAPH, stop - start) + source[start:stop]
+    except MalformedError as error:
         raise BundleFormatError(f"{name} is not an ONNX model: {error}") from None
-    return graph + _length_delimited(_GRAPH_OF_MODEL, len(found)) + bytes(found)
+    return graph + length_delimited(_GRAPH_OF_MODEL, len(found)) + bytes(found)
 
 
 def _names_without_tensor(data: bytes) -> set[bytes]:
     """List what the nodes of a model read and neither a node nor an initializer gives."""
     read: set[bytes] = set()
     given = {name for name, _, _ in _initializers(data)}
-    for start, stop in _nested(data, 0, len(data), _GRAPH_OF_MODEL):
-        for begin, end in _nested(data, start, stop, _NODE_OF_GRAPH):
-            read.update(data[first:last] for first, last in _nested(data, begin, end, _INPUT_OF_NODE))
-            given.update(data[first:last] for first, last in _nested(data, begin, end, _OUTPUT_OF_NODE))
+    for start, stop in nested(data, 0, len(data), _GRAPH_OF_MODEL):
+        for begin, end in nested(data, start, stop, _NODE_OF_GRAPH):
+            read.update(data[first:last] for first, last in nested(data, begin, end, _INPUT_OF_NODE))
+            given.update(data[first:last] for first, last in nested(data, begin, end, _OUTPUT_OF_NODE))
     return read - given
 
 
 def _initializers(data: bytes) -> Iterator[tuple[bytes, int, int]]:
     """Yield name, first byte and end of each initializer of a model."""
-    for start, stop in _nested(data, 0, len(data), _GRAPH_OF_MODEL):
-        for begin, end in _nested(data, start, stop, _INITIALIZER_OF_GRAPH):
-            for first, last in _nested(data, begin, end, _NAME_OF_TENSOR):
+    for start, stop in nested(data, 0, len(data), _GRAPH_OF_MODEL):
+        for begin, end in nested(data, start, stop, _INITIALIZER_OF_GRAPH):
+            for first, last in nested(data, begin, end, _NAME_OF_TENSOR):
                 yield data[first:last], begin, end
 
 
-def _nested(data: bytes, start: int, end: int, number: int) -> Iterator[tuple[int, int]]:
+def nested(data: bytes, start: int, end: int, number: int) -> Iterator[tuple[int, int]]:
     """Yield first byte and end of each field of a number that holds bytes."""
-    for found, wire, begin, stop in _fields(data, start, end):
+    for found, wire, begin, stop in fields(data, start, end):
         if (found, wire) == (number, _BYTES):
             yield begin, stop
 
 
-def _length_delimited(number: int, length: int) -> bytes:
+def length_delimited(number: int, length: int) -> bytes:
     """Encode the head of a field whose content has `length` bytes."""
     head = bytearray([number << 3 | _BYTES])
     while length >= 0x80:
@@ -131,7 +131,7 @@ def _length_delimited(number: int, length: int) -> bytes:
     return bytes([*head, length])
 
 
-class _MalformedError(Exception):
+class MalformedError(Exception):
     """The bytes are not valid protobuf."""
 
 
@@ -140,14 +140,14 @@ _Visitor = Callable[[bytes, int, int, "_Findings", int], None]
 
 def _walk(message: Mapping[int, _Visitor], data: bytes, start: int, end: int, findings: _Findings, depth: int) -> None:
     if depth > _MAX_DEPTH:
-        raise _MalformedError(f"nested deeper than {_MAX_DEPTH}")
-    for number, wire, begin, stop in _fields(data, start, end):
+        raise MalformedError(f"nested deeper than {_MAX_DEPTH}")
+    for number, wire, begin, stop in fields(data, start, end):
         visit = message.get(number)
         if visit is not None and wire == _BYTES:
             visit(data, begin, stop, findings, depth + 1)
 
 
-def _fields(data: bytes, start: int, end: int) -> Iterator[tuple[int, int, int, int]]:
+def fields(data: bytes, start: int, end: int) -> Iterator[tuple[int, int, int, int]]:
     """Yield number, wire type, first byte and end of the content of each field."""
     position = start
     while position < end:
@@ -162,9 +162,9 @@ def _fields(data: bytes, start: int, end: int) -> Iterator[tuple[int, int, int, 
         elif wire in (_FIXED32, _FIXED64):
             position += 4 if wire == _FIXED32 else 8
         else:
-            raise _MalformedError(f"wire type {wire}")
+            raise MalformedError(f"wire type {wire}")
         if position > end or number == 0:
-            raise _MalformedError("a field runs past its end")
+            raise MalformedError("a field runs past its end")
         yield number, wire, begin, position
 
 
@@ -172,18 +172,18 @@ def _varint(data: bytes, position: int, end: int) -> tuple[int, int]:
     value = 0
     for shift in range(0, 70, 7):
         if position >= end:
-            raise _MalformedError("cut short")
+            raise MalformedError("cut short")
         byte = data[position]
         position += 1
         value |= (byte & 0x7F) << shift
         if byte < 0x80:
             return value, position
-    raise _MalformedError("a number longer than 64 bits")
+    raise MalformedError("a number longer than 64 bits")
 
 
 def _node(data: bytes, start: int, end: int, findings: _Findings, depth: int) -> None:
     operator = domain = b""
-    for number, wire, begin, stop in _fields(data, start, end):
+    for number, wire, begin, stop in fields(data, start, end):
         if wire != _BYTES:
             continue
         if number == 4:
@@ -195,11 +195,11 @@ def _node(data: bytes, start: int, end: int, findings: _Findings, depth: int) ->
     try:
         findings.operators.add(f"{domain.decode() or DEFAULT_DOMAIN}::{operator.decode()}")
     except UnicodeDecodeError as error:
-        raise _MalformedError("an operator's name is not text") from error
+        raise MalformedError("an operator's name is not text") from error
 
 
 def _tensor(data: bytes, start: int, end: int, findings: _Findings, depth: int) -> None:
-    for number, wire, begin, stop in _fields(data, start, end):
+    for number, wire, begin, stop in fields(data, start, end):
         location = number == 14 and wire == _VARINT and _varint(data, begin, stop)[0] != 0
         if location or number == 13:
             findings.external = True

@@ -6,8 +6,9 @@ import os
 import threading
 from collections.abc import Callable, Mapping, MutableMapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from types import MappingProxyType
-from typing import Any, Final
+from typing import Any, Final, Generic, TypeVar
 
 import onnxruntime
 from numpy.typing import NDArray
@@ -28,6 +29,7 @@ from kinegraph.bundle.contract import (
     levels_of,
 )
 from kinegraph.bundle.onnx_inspect import with_initializers
+from kinegraph.bundle.onnx_split import split_gradient
 from kinegraph.bundle.reader import Bundle
 from kinegraph.errors import BundleError, InvalidInputError, KinegraphError, ModelError
 from kinegraph.validation import require_finite, short_repr
@@ -48,19 +50,60 @@ DISABLED_OPTIMIZERS: Final = ["SkipLayerNormFusion"]
 _ERRORS_ONLY: Final = 3
 
 
-class LazySession:
-    """Session that is opened once, at its first use, by whichever thread asks first."""
+Opened = TypeVar("Opened")
 
-    def __init__(self, open_now: Callable[[], onnxruntime.InferenceSession]) -> None:
+
+class Lazy(Generic[Opened]):
+    """What is opened once, at its first use, by whichever thread asks first."""
+
+    def __init__(self, open_now: Callable[[], Opened]) -> None:
         self._open_now = open_now
         self._lock = threading.Lock()
-        self._session: onnxruntime.InferenceSession | None = None
+        self._opened: Opened | None = None
 
-    def __call__(self) -> onnxruntime.InferenceSession:
+    def __call__(self) -> Opened:
         with self._lock:
-            if self._session is None:
-                self._session = self._open_now()
-            return self._session
+            if self._opened is None:
+                self._opened = self._open_now()
+            return self._opened
+
+
+LazySession = Lazy[onnxruntime.InferenceSession]
+
+
+@dataclass(frozen=True)
+class DifferentiableDecoder:
+    """A decoder that keeps what its gradient needs, so that it runs once for both (`onnx_split`)."""
+
+    forward: onnxruntime.InferenceSession
+    backward: onnxruntime.InferenceSession
+    kept: tuple[str, ...]
+    """Outputs of the first that the second reads."""
+
+    def decode(self, inputs: Mapping[str, FloatArray]) -> tuple[FloatArray, Callable[[FloatArray], FloatArray]]:
+        """Decode latents.
+
+        Args:
+            inputs: of the decoder (`contract.decoder`).
+
+        Returns:
+            Normalised features (B, L, F), and the function that carries a cotangent of them back to the latents.
+
+        Raises:
+            ModelError, NonFiniteError: see `run_model`; so does the function.
+        """
+        values: dict[str, FloatArray] = dict(inputs)
+        names = ["features", *self.kept]
+        results = _run_typed(self.forward, names, values, "the decoder")
+        values.update(zip(names, results, strict=True))
+        features = require_finite(results[0], "the decoder")
+
+        def back(cotangent: FloatArray) -> FloatArray:
+            values["cotangent"] = cotangent
+            read = {tensor.name: values[tensor.name] for tensor in self.backward.get_inputs()}
+            return run_model(self.backward, ["gradient"], read, "the gradient of the decoder")[0]
+
+        return features, back
 
 
 @dataclass(frozen=True)
@@ -87,15 +130,15 @@ class Sessions:
     """Level -> context encoder for adaptive gradient descent; empty if the bundle has none."""
     denoiser_agd: Mapping[str, LazySession]
     """Level -> denoiser with adaptive gradient descent; empty if the bundle has none."""
-    decoder_gradients: Mapping[str, LazySession]
-    """Level -> vector-Jacobian product of its decoder; empty if the bundle has none."""
+    decoder_gradients: Mapping[str, Lazy[DifferentiableDecoder]]
+    """Level -> decoder with its vector-Jacobian product; empty if the bundle has none."""
     encoder: LazySession | None
     """Encoder of the finest level; None if the bundle has none."""
     frames: Mapping[str, LazySession] = field(default_factory=dict)
     """Name of a graph -> session of skeleton space (`frames_part`); empty if the bundle has none."""
 
     @property
-    def lazy(self) -> tuple[LazySession, ...]:
+    def lazy(self) -> tuple[LazySession | Lazy[DifferentiableDecoder], ...]:
         """All sessions that are opened at their first use."""
         by_level = (self.coarse_decoders, self.context_agd, self.denoiser_agd, self.decoder_gradients)
         of_levels = [session for sessions in by_level for session in sessions.values()]
@@ -181,6 +224,14 @@ def open_sessions(
         present = {level: contracts[graph] for level, graph in graphs.items() if graph in contracts}
         return MappingProxyType({level: at_first_use(contract) for level, contract in present.items()})
 
+    def open_gradient(contract: GraphContract) -> DifferentiableDecoder:
+        return open_differentiable(_read_graph(bundle, contract), contract, wide)
+
+    gradients = {
+        level: Lazy(partial(open_gradient, contracts[graph]))
+        for level, graph in DECODER_GRADIENTS.items()
+        if graph in contracts
+    }
     return Sessions(
         text_encoder=open_graph("text_encoder", wide),
         graph_encoder=open_graph("graph_encoder", wide) if "graph_encoder" in contracts else None,
@@ -191,7 +242,7 @@ def open_sessions(
         coarse_decoders=lazy(COARSE_DECODERS, wide),
         context_agd=lazy(AGD_CONTEXTS, wide),
         denoiser_agd=lazy(AGD_DENOISERS, narrow),
-        decoder_gradients=lazy(DECODER_GRADIENTS, wide),
+        decoder_gradients=MappingProxyType(gradients),
         encoder=lazy({LEVELS[-1]: ENCODER}, wide).get(LEVELS[-1]),
         frames=lazy({graph: graph for graph in FRAME_GRAPHS}, narrow),
     )
@@ -215,6 +266,24 @@ def open_session(
         BundleError: onnxruntime refuses the graph; the message names its file.
         BundleFormatError: inputs or outputs differ from the contract.
     """
+    session = _open(data, contract.file, options)
+    check_signature(session.get_inputs(), session.get_outputs(), contract)
+    return session
+
+
+def open_differentiable(
+    data: bytes, contract: GraphContract, options: onnxruntime.SessionOptions
+) -> DifferentiableDecoder:
+    """Open the graph of a decoder's gradient in its two parts; see `open_session`."""
+    parts = split_gradient(data, contract.file)
+    forward, backward = (_open(part, contract.file, options) for part in (parts.forward, parts.backward))
+    inputs = {tensor.name: tensor for session in (forward, backward) for tensor in session.get_inputs()}
+    own = [tensor for name, tensor in inputs.items() if name not in parts.kept]
+    check_signature(own, backward.get_outputs(), contract)
+    return DifferentiableDecoder(forward, backward, parts.kept)
+
+
+def _open(data: bytes, file: str, options: onnxruntime.SessionOptions) -> onnxruntime.InferenceSession:
     try:
         session = onnxruntime.InferenceSession(
             data,
@@ -223,10 +292,9 @@ def open_session(
             disabled_optimizers=DISABLED_OPTIMIZERS,
         )
     except ORT_ERRORS as error:
-        raise BundleError(f"onnxruntime {onnxruntime.__version__} cannot load {contract.file}: {error}") from error
+        raise BundleError(f"onnxruntime {onnxruntime.__version__} cannot load {file}: {error}") from error
     # onnxruntime keeps the file for switching providers, which nobody does here; without it 40 MB go.
     session._model_bytes = None
-    check_signature(session.get_inputs(), session.get_outputs(), contract)
     return session
 
 
@@ -247,17 +315,25 @@ def run_model(
         ModelError: onnxruntime refuses the inputs, fails, or runs out of memory.
         NonFiniteError: an output holds NaN or infinity.
     """
+    results = _run_typed(session, outputs, inputs, model)
+    for values in results:
+        require_finite(values, model)
+    return results
+
+
+def _run_typed(
+    session: onnxruntime.InferenceSession, outputs: Sequence[str], inputs: Mapping[str, NDArray[Any]], model: str
+) -> list[FloatArray]:
+    """Run a session, with typed errors; what it gives is not checked."""
     try:
         results: list[FloatArray] = session.run(list(outputs), dict(inputs))
+        return results
     except KinegraphError:
         raise
     except MemoryError as error:
         raise ModelError(f"{model} ran out of memory; ask for fewer or shorter clips at once") from error
     except ORT_ERRORS as error:
         raise ModelError(f"{model} failed in onnxruntime {onnxruntime.__version__}: {error}") from error
-    for values in results:
-        require_finite(values, model)
-    return results
 
 
 def _thread_count(threads: int | None, default: int) -> int:

@@ -7,6 +7,7 @@ frames count alike.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Final
 
 import numpy as np
@@ -25,6 +26,8 @@ HEADING_WEIGHT: Final = 0.1
 """m^2: an error of the heading of 0.1 rad (6 degrees) costs as much as 3 cm."""
 VELOCITY_WEIGHT: Final = 4.0
 """Weight of the steps between the frames of a start or end pose, against that of the frames."""
+SEAM_WEIGHT: Final = 2.0
+"""Weight of the step between a start or end pose and the rest of the clip, against that of the frames of the pose."""
 LEAD_SECONDS: Final = 0.25
 """Deviation of the Gaussian window in which the motion leads up to a joint's target and away from it."""
 LEAD_WEIGHT: Final = 0.05
@@ -43,6 +46,31 @@ def constraint_terms(
         leading: let joints be near their targets in a soft window around the moment, too: so the motion leads up to it.
     """
     return tuple(_term(constraint, frames, fps, leading) for constraint in constraints if constraint.weight > 0)
+
+
+def seam_terms(constraints: Sequence[Constraint], frames: int, fps: float) -> tuple[Term, ...]:
+    """Make the energies of the steps out of start poses and into end poses: the velocity of the pose goes on there.
+
+    1/2 w |step of the clip - step of the pose beside it|^2. Few motions are without it, so it is no part of what is
+    wanted (`constraint_terms`).
+
+    Args:
+        constraints, frames, fps: see `constraint_terms`.
+    """
+    terms: list[Term] = []
+    for constraint in constraints:
+        if not isinstance(constraint, StartPose | EndPose) or constraint.weight <= 0:
+            continue
+        poses = constraint.frames(fps).astype(np.float64)
+        if not 1 < len(poses) < frames:
+            continue
+        if isinstance(constraint, StartPose):
+            first, anchor, steps = len(poses) - 1, 0, np.stack([poses[-1], 2 * poses[-1] - poses[-2]])
+        else:
+            first, anchor, steps = frames - len(poses) - 1, frames - 1, np.stack([2 * poses[0] - poses[1], poses[0]])
+        weight = np.full(1, SEAM_WEIGHT * constraint.weight / JOINTS)
+        terms.append(partial(pose_energy, pose=steps, first=first, anchor=anchor, weight=np.zeros(2), steps=weight))
+    return tuple(terms)
 
 
 def total_energy(terms: Sequence[Term], joints: Floats) -> Energy:
@@ -70,18 +98,19 @@ def _term(constraint: Constraint, frames: int, fps: float, leading: bool) -> Ter
             if constraint.anywhere:
                 placed = BodyFrame.of(pose).to_body(pose)[None]
                 share = np.full(1, weight / JOINTS)
-                return lambda joints: pose_energy(joints, placed, frame, frame, share, 0.0)
+                return lambda joints: pose_energy(joints, placed, frame, frame, share, np.zeros(0))
             target, weights = np.zeros((frames, JOINTS, 3)), np.zeros((frames, JOINTS, 3))
             target[frame], weights[frame] = pose, weight / JOINTS
             return lambda joints: position_energy(joints, target, weights)
         case StartPose():
             poses = constraint.frames(fps).astype(np.float64)
             share = np.full(len(poses), weight / (JOINTS * len(poses)))
-            return lambda joints: pose_energy(joints, poses, 0, 0, share, VELOCITY_WEIGHT)
+            return lambda joints: pose_energy(joints, poses, 0, 0, share, VELOCITY_WEIGHT * share[1:])
         case EndPose():
             poses = constraint.frames(fps).astype(np.float64)
             share = np.full(len(poses), weight / (JOINTS * len(poses)))
-            return lambda joints: pose_energy(joints, poses, frames - len(poses), frames - 1, share, VELOCITY_WEIGHT)
+            steps = VELOCITY_WEIGHT * share[1:]
+            return lambda joints: pose_energy(joints, poses, frames - len(poses), frames - 1, share, steps)
         case Loop():
             return lambda joints: loop_energy(joints, weight / JOINTS, VELOCITY_WEIGHT)
 

@@ -76,10 +76,10 @@ def heading_energy(joints: Floats, angle: Floats, weight: Floats) -> Energy:
     return float((weight * (1.0 - np.cos(difference))).sum()), gradient
 
 
-def pose_energy(joints: Floats, pose: Floats, first: int, anchor: int, weight: Floats, velocity: float) -> Energy:
+def pose_energy(joints: Floats, pose: Floats, first: int, anchor: int, weight: Floats, steps: Floats) -> Energy:
     """Compute the energy of poses wherever on the floor they are, and of the velocity between their frames.
 
-    1/2 sum w |L(x) - p|^2 + velocity / 2 sum w |D L(x) - D p|^2, D the difference from frame to frame. L moves the
+    1/2 sum w |L(x) - p|^2 + 1/2 sum v |D L(x) - D p|^2, D the difference from frame to frame. L moves the
     pelvis of the anchor frame to the origin of the floor and turns the body so that it faces +Z there, as HumanML3D
     places poses (Guo et al., 2022).
 
@@ -88,17 +88,17 @@ def pose_energy(joints: Floats, pose: Floats, first: int, anchor: int, weight: F
         pose: p, (n, 22, 3) metres, its anchor frame above the origin and facing +Z.
         first: of the n frames of the clip that shall be in these poses.
         anchor: frame of the clip that is moved to the origin.
-        weight: (n,).
-        velocity: weight of velocities, relative to that of positions.
+        weight: w, (n,).
+        steps: v, (n - 1,), from each frame to the next.
     """
     local, back = _to_local(joints, slice(first, first + len(pose)), anchor)
     difference, weights = local - pose, weight[:, None, None]
-    steps = np.diff(difference, axis=0)
+    change = np.diff(difference, axis=0)
     cotangent = weights * difference
-    pull = velocity * weights[1:] * steps
+    pull = steps[:, None, None] * change
     cotangent[1:] += pull
     cotangent[:-1] -= pull
-    energy = 0.5 * float((weights * difference**2).sum() + (pull * steps).sum())
+    energy = 0.5 * float((weights * difference**2).sum() + (pull * change).sum())
     return energy, back(cotangent)
 
 
