@@ -12,6 +12,7 @@ from kinegraph_benchmarks.common.constraint_cases import FIRST_SEED, KINDS, make
 from kinegraph_benchmarks.common.predicates import FPS
 from kinegraph_benchmarks.quality.constraints import (
     ALONE_GOALS,
+    asked_motion,
     goals_met,
     miss,
     seam_limits,
@@ -115,7 +116,14 @@ def test_a_seam_is_measured_where_what_is_asked_for_ends() -> None:
     jumped = joints.copy()
     jumped[-4:, :, 2] += 0.5
     assert seam_motion(jumped, end)[0] > 5 > seam_motion(jumped, start)[0]
-    rows = [{arm: {"seam": value} for arm in ("plain", "alone", "corrected")} for value in ((1.0, 1.0), (3.0, 1.0))]
-    assert seams(rows, (2.0, 2.0))["corrected"] == {"median": [2.0, 1.0], "within": 0.5}
+    asked = asked_motion(StartPose(joints[:4]))
+    assert asked[0] == pytest.approx(speed[:3].max(), rel=0.02) and asked_motion(StartPose(joints[:1])) == (0.0, 0.0)
+    rows = [
+        {arm: {"seam": value} for arm in ("plain", "alone", "corrected")} | {"asked_motion": (2.5, 1.0)}
+        for value in ((1.0, 1.0), (2.4, 1.0), (3.0, 1.0))
+    ]
+    shares = seams(rows, (2.0, 2.0))["corrected"]
+    assert shares["median"] == [2.4, 1.0]
+    assert (shares["within"], shares["within_or_asked"]) == (pytest.approx(1 / 3), pytest.approx(2 / 3))
     limits = seam_limits(CLIPS)
     assert limits[0] > 0 and limits[1] > 0

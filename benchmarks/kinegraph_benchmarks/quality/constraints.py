@@ -116,6 +116,12 @@ def seam_motion(joints: FloatArray, constraint: StartPose | EndPose) -> tuple[fl
     return float(speed[step]), float(change[max(step - 1, 0) : step + 1].max())
 
 
+def asked_motion(constraint: StartPose | EndPose) -> tuple[float, float]:
+    """Measure the largest speed and change of velocity, m/s, within the frames that are asked for."""
+    speed, change = step_motion(constraint.frames(FPS))
+    return float(speed.max(initial=0.0)), float(change.max(initial=0.0))
+
+
 def seam_limits(clips: Sequence[MotionClip]) -> tuple[float, float]:
     """Compute the `SEAM_QUANTILE` of both over the steps of captured clips."""
     steps = [step_motion(clip.joints) for clip in clips]
@@ -124,12 +130,22 @@ def seam_limits(clips: Sequence[MotionClip]) -> tuple[float, float]:
 
 
 def seams(rows: Sequence[Mapping[str, Any]], limits: tuple[float, float]) -> dict[str, Any]:
-    """Compare the seams of one kind with captured steps: medians, and the share of clips within, for each arm."""
+    """Compare the seams of one kind with captured steps, for each arm.
+
+    Returns:
+        Medians; the share of clips within what 95 % of captured steps are; and the share within that or what the pose
+        itself does, which was captured too: a seam at the pose of a runner is as fast as he is.
+    """
     summary: dict[str, Any] = {"captured": limits}
     for arm in ("plain", "alone", "corrected"):
         values = np.array([row[arm]["seam"] for row in rows])
-        within = (values <= limits).all(axis=1)
-        summary[arm] = {"median": np.median(values, axis=0).tolist(), "within": float(within.mean())}
+        asked = np.maximum([row["asked_motion"] for row in rows], limits)
+        within, as_asked = ((values <= bound).all(axis=1).mean() for bound in (limits, asked))
+        summary[arm] = {
+            "median": np.median(values, axis=0).tolist(),
+            "within": float(within),
+            "within_or_asked": float(as_asked),
+        }
     return summary
 
 
@@ -172,11 +188,10 @@ def run_case(pipe: MotionPipeline, case: Case, *, weight: float = 1.0) -> dict[s
             "skate": float(skates[0] / skates[1]),
             "joints": joints,
         } | misses(joints, case)
-    for arm in _ARMS:
-        at_seam = [
-            seam_motion(row[arm]["joints"], one) for one in case.constraints if isinstance(one, StartPose | EndPose)
-        ]
-        row[arm] |= {"seam": at_seam[0]} if at_seam else {}
+    for pose in [one for one in case.constraints if isinstance(one, StartPose | EndPose)][:1]:
+        row["asked_motion"] = asked_motion(pose)
+        for arm in _ARMS:
+            row[arm]["seam"] = seam_motion(row[arm]["joints"], pose)
     return row
 
 
@@ -303,7 +318,8 @@ def _seam_line(kind: str, row: Mapping[str, Any]) -> str:
     return (
         f"Seams of {kind}: the fastest joint has {speed:.2f} m/s, and its velocity changes by {change:.2f} m/s;"
         f" {100 * row['corrected']['within']:.0f} % within captured 95 %, {row['captured'][0]:.2f} and"
-        f" {row['captured'][1]:.2f} m/s."
+        f" {row['captured'][1]:.2f} m/s, {100 * row['corrected']['within_or_asked']:.0f} % within that or what the pose"
+        f" itself does (plain clips: {100 * row['plain']['within']:.0f} %)."
     )
 
 
