@@ -20,8 +20,10 @@ from kinegraph.validation import short_repr
 
 IGNORED_PARTS = ("text_encoder", "t2m_textencoder", "t2m_moveencoder", "t2m_motionencoder")
 """First parts of names that are left out: CLIP, which comes from its own folder, and the evaluators."""
-WRAPPERS = ("module.", "model.", "_orig_mod.")
-"""Prefixes that data parallelism, trainers and compilation put before every name."""
+WRAPPERS = ("module", "_orig_mod")
+"""Parts that data parallelism and compilation put into names, before all of them or before those of one network."""
+TRAINER = "model."
+"""Prefix that trainers put before every name."""
 LOAD_ERRORS = (pickle.UnpicklingError, RuntimeError, ValueError, EOFError, TypeError, AttributeError, KeyError)
 """What torch raises for files that it does not read."""
 _SHOWN = 4
@@ -51,8 +53,8 @@ class _IgnoredObject:
 def read_tensors(path: Path, parts: Sequence[str] = ()) -> dict[str, Tensor]:
     """Read the tensors of a checkpoint (.ckpt, .pt, .pth, .bin or .safetensors) without running any of its code.
 
-    Classes that trainers leave in a checkpoint (settings, callbacks) are replaced by inert ones. Prefixes that all
-    names share (`WRAPPERS`) are removed.
+    Classes that trainers leave in a checkpoint (settings, callbacks) are replaced by inert ones. What wrappers add to
+    names (`WRAPPERS`, `TRAINER`) is removed.
 
     Args:
         path: of the file.
@@ -67,8 +69,7 @@ def read_tensors(path: Path, parts: Sequence[str] = ()) -> dict[str, Tensor]:
     tensors = _named_tensors(content.get("state_dict", content))
     if not tensors:
         raise InvalidInputError(f"{path} holds no named tensors; keys are {list_names(map(str, content))}")
-    while prefix := next((w for w in WRAPPERS if all(name.startswith(w) for name in tensors)), ""):
-        tensors = {name.removeprefix(prefix): value for name, value in tensors.items()}
+    tensors = _unwrapped(path, tensors)
     wanted = {
         name: value
         for name, value in tensors.items()
@@ -87,6 +88,25 @@ def _named_tensors(content: object) -> dict[str, Tensor]:
         if isinstance(inner, Mapping):
             tensors |= {f"{part}.{name}": value for name, value in inner.items() if isinstance(value, Tensor)}
     return tensors
+
+
+def _unwrapped(path: Path, tensors: Tensors) -> Tensors:
+    """Remove from names what wrappers of networks add to them.
+
+    Raises:
+        InvalidInputError: two names become one.
+    """
+    renamed: dict[str, Tensor] = {}
+    for name, value in tensors.items():
+        plain = ".".join(part for part in name.split(".") if part not in WRAPPERS)
+        if plain in renamed:
+            raise InvalidInputError(
+                f"{path} holds {plain} twice, once as {name}: a network and its wrapped copy; save one of them alone"
+            )
+        renamed[plain] = value
+    while all(name.startswith(TRAINER) for name in renamed):
+        renamed = {name.removeprefix(TRAINER): value for name, value in renamed.items()}
+    return renamed
 
 
 def _read_safetensors(path: Path) -> dict[str, Any]:

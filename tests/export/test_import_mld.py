@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,7 +12,7 @@ import pytest
 pytest.importorskip("torch")
 pytest.importorskip("onnx")
 
-from kinegraph import MotionPipeline
+from kinegraph import Concept, MotionPipeline
 from kinegraph.bench import GRAPH
 from kinegraph.bundle.sessions import run_model
 from kinegraph.bundle.verify import verify_bundle
@@ -19,6 +20,7 @@ from kinegraph.concat_denoising import ConcatPrediction, ConcatSampler
 from kinegraph.diffusion.sampling import ddim_coefficients
 from kinegraph.edits import with_weight
 from kinegraph.errors import InvalidInputError
+from kinegraph.graph import Action, SemanticGraph
 from kinegraph.options import resolve_options
 from kinegraph.slot_conditioning import SlotConditions, slot_kinds
 from kinegraph_export.import_mld import import_mld
@@ -29,6 +31,7 @@ Arrays = Mapping[str, np.ndarray]
 pytestmark = pytest.mark.slow
 TOLERANCE = 1e-4
 SHORT = {"seconds": 2, "seed": 3, "steps": 4}
+WAVES = SemanticGraph("a man waves", (Action("waves", 6, 11, 0),))
 
 
 @pytest.fixture(scope="module")
@@ -142,3 +145,22 @@ def test_concepts_compose(mld: MotionPipeline) -> None:
     plain = mld.generate(GRAPH, **SHORT)
     one = mld.compose([GRAPH], method="latent", **SHORT)
     np.testing.assert_allclose(one.joints, plain.joints, rtol=0, atol=TOLERANCE)
+
+
+@pytest.mark.parametrize(
+    ("refused", "what"),
+    [
+        ({"method": "semantic"}, r"semantic-aware term \(EnergyMoGen, Eq\. 9\)"),
+        ({"method": "fused"}, r"semantic-aware term \(EnergyMoGen, Eq\. 9\)"),
+        ({"method": "latent", "agd": (0.1, 0.1)}, r"agd \(EnergyMoGen, Eq\. 3, 4\)"),
+    ],
+)
+def test_what_works_inside_attention_says_why_not(mld: MotionPipeline, refused: dict[str, Any], what: str) -> None:
+    with pytest.raises(InvalidInputError, match=rf"{what} works inside cross-attention.* have none.*method 'latent'"):
+        mld.compose([GRAPH, WAVES], **refused, **SHORT)
+
+
+def test_a_concept_is_negated(mld: MotionPipeline) -> None:
+    plain = mld.compose([GRAPH], method="latent", **SHORT)
+    without = mld.compose([GRAPH, Concept(WAVES, weight=-1.0)], method="latent", **SHORT)
+    assert without.joints.shape == plain.joints.shape and np.abs(without.joints - plain.joints).max() > 1e-4

@@ -83,10 +83,28 @@ def test_code_in_a_checkpoint_is_not_run(
     assert not Path("kinegraph_was_here").exists()
 
 
-@pytest.mark.parametrize("prefix", ["module.", "model.", "module._orig_mod."])
+@pytest.mark.parametrize("prefix", ["module.", "model.", "module._orig_mod.", "model.module."])
 def test_prefixes_of_all_names_are_removed(tmp_path: Path, tensors: dict[str, torch.Tensor], prefix: str) -> None:
     save_file({f"{prefix}{name}": value for name, value in tensors.items()}, tmp_path / "a.safetensors")
     assert read_tensors(tmp_path / "a.safetensors").keys() == tensors.keys()
+
+
+def test_prefixes_inside_names_are_removed(tmp_path: Path, tensors: dict[str, torch.Tensor]) -> None:
+    # one network of several was wrapped, as trainers of several stages do
+    def wrapped(name: str) -> str:
+        part, _, rest = name.partition(".")
+        return f"model.{part}.module.{rest}" if part == "denoiser_stage2" else f"model.{name}"
+
+    save_file({wrapped(name): value for name, value in tensors.items()}, tmp_path / "a.safetensors")
+    read = read_tensors(tmp_path / "a.safetensors")
+    assert read.keys() == tensors.keys()
+    assert all(torch.equal(read[name], value) for name, value in tensors.items())
+
+
+def test_a_network_beside_its_wrapped_copy_is_told(tmp_path: Path, tensors: dict[str, torch.Tensor]) -> None:
+    both = {**tensors, "gat.module.W": tensors["gat.W"] + 1}
+    with pytest.raises(InvalidInputError, match=r"holds gat.W twice, once as gat.module.W"):
+        read_tensors(write_lightning(tmp_path / "a.ckpt", both))
 
 
 def test_half_precision(tmp_path: Path, tensors: dict[str, torch.Tensor]) -> None:
