@@ -77,7 +77,7 @@ def constraint_graphs(bundle: Bundle, vaes: Path) -> tuple[dict[str, bytes], dic
         file = declared[COARSE_DECODERS.get(level, "decoder")].file
         if file not in manifest.files:
             raise InvalidInputError(f"the bundle has no {file}, whose gradient constraints need; export it again")
-        data = bundle.read_optional(file)
+        data = bundle.read_later(file)
         module = decoder_module(bundle, level, vaes, data)
         contract = declared[DECODER_GRADIENTS[level]]
         files[contract.file], differences = export_gradient(module, contract, group, data)
@@ -108,7 +108,7 @@ def add_gradients(folder: Path, vaes: Path) -> dict[str, float]:
     files, parity = constraint_graphs(bundle, vaes)
     for graph in manifest.contracts.keys() & set(AGD_DENOISERS.values()):
         file, source = (manifest.contracts[name].file for name in (graph, WEIGHT_SOURCES[graph]))
-        files[file] = without_shared(bundle.read_optional(file), bundle.read_optional(source))
+        files[file] = without_shared(bundle.read_later(file), bundle.read_later(source))
     for name, data in files.items():
         (folder / name).write_bytes(data)
     manifest = dataclasses.replace(

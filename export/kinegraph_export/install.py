@@ -51,7 +51,7 @@ def install_bundle(path: Path, name: str, bundles: Path = BUNDLES) -> Path:
 
 def _share_files(bundle: Bundle, shared: Path) -> None:
     """Write the files that read text into the shared folder; refuse before anything is written."""
-    files = {name: data for name, data in bundle.files.items() if name in SHARED_FILES}
+    files = {name: bundle.read_graph(name) for name in SHARED_FILES & bundle.manifest.files.keys()}
     for name, data in files.items():
         if (shared / name).is_file() and (shared / name).read_bytes() != data:
             raise InvalidInputError(

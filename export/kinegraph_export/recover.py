@@ -189,7 +189,7 @@ def recover_autoencoder(bundle: Bundle, level: str, checkpoint: Path, contract: 
     gain, shift = torch.rand(2, config.features, generator=generator) + 2
     fine = level == LEVELS[-1]
     module = DecoderGraph(vae, centre, scale) if fine else CoarseDecoderGraph(vae, centre, scale, gain, shift)
-    data = bundle.files[contract.file] if fine else bundle.read_optional(contract.file)
+    data = bundle.read_graph(contract.file)
     weights = {name: value for name, value in vae.named_parameters() if name.split(".")[0] not in ENCODER_PARTS}
     recover_module(module.eval(), weights, contract, manifest.frames.per_token, data)
     state["state_dict"] |= {f"vae.{name}": value.detach() for name, value in weights.items()}
@@ -213,7 +213,7 @@ def recover_hierarchy(bundle: Bundle, config: DenoiserConfig, run: Path) -> tupl
     for level, graph in ((LEVELS[-1], "decoder"), *COARSE_DECODERS.items()):
         file = declared[graph].file
         if file in manifest.files:
-            data = bundle.files[file] if level == LEVELS[-1] else bundle.read_optional(file)
+            data = bundle.read_graph(file)
             decoder = dequantised_weights(onnx.load_model_from_string(data))
             statistics |= {f"{level}_{name}": decoder[name] for name in ("centre", "scale")}
     unit = torch.ones(shapes[LEVELS[-1]].tokens, shapes[LEVELS[-1]].width)
@@ -221,7 +221,7 @@ def recover_hierarchy(bundle: Bundle, config: DenoiserConfig, run: Path) -> tupl
         if name != "decoder" and name not in OPTIONAL_GRAPHS:
             contract = declared[name]
             weights = dict(module.named_parameters())
-            recover_module(module, weights, contract, manifest.frames.per_token, bundle.files[contract.file])
+            recover_module(module, weights, contract, manifest.frames.per_token, bundle.read_graph(contract.file))
     return hierarchy, statistics
 
 

@@ -17,7 +17,7 @@ from support.toy import TOY_BUNDLE
 
 
 def decoder_bytes(level: str) -> bytes:
-    return read_bundle(TOY_BUNDLE).read_optional(f"{COARSE_DECODERS.get(level, 'decoder')}.onnx")
+    return read_bundle(TOY_BUNDLE).read_later(f"{COARSE_DECODERS.get(level, 'decoder')}.onnx")
 
 
 @pytest.mark.parametrize("level", LEVELS)
@@ -49,7 +49,7 @@ def test_a_derived_gradient_is_that_of_finite_differences(level: str) -> None:
 @pytest.mark.parametrize("level", LEVELS)
 def test_the_bundle_holds_the_gradient_of_its_own_decoder(level: str) -> None:
     decoder = onnx.load_model_from_string(decoder_bytes(level))
-    stored = read_bundle(TOY_BUNDLE).read_optional(f"{DECODER_GRADIENTS[level]}.onnx")
+    stored = read_bundle(TOY_BUNDLE).read_later(f"{DECODER_GRADIENTS[level]}.onnx")
     assert stored == without_weights(derive_gradient(decoder), decoder)
 
 

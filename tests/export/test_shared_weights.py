@@ -65,7 +65,7 @@ def test_small_and_unequal_weights_stay() -> None:
 def test_the_bundle_stores_no_weight_of_a_denoiser_twice(name: str) -> None:
     bundle = read_bundle(TOY_BUNDLE)
     contracts = bundle.manifest.contracts
-    data, source = (bundle.read_optional(contracts[graph].file) for graph in (name, WEIGHT_SOURCES[name]))
+    data, source = (bundle.read_later(contracts[graph].file) for graph in (name, WEIGHT_SOURCES[name]))
     merged = with_initializers(data, source, "source")
     assert len(data) < 0.5 * len(merged)
     session = onnxruntime.InferenceSession(merged, providers=["CPUExecutionProvider"])

@@ -25,7 +25,7 @@ from support.synthetic_bundle import (
 
 posix = pytest.mark.skipif(os.name != "posix", reason="needs POSIX file types")
 LONGEST = 0.05
-"""Seconds that a refusal may take."""
+"""Seconds of CPU that a refusal may take; other work on the machine does not count."""
 NAMES = ("../decoder.onnx", "/etc/hostname", "C:\\decoder.onnx", "C:decoder.onnx", "a/b.onnx", "dec\0der.onnx", "..",
          "", "CON", "NUL", "Decoder.onnx", "decoder.onnx/", "./decoder.onnx", "decoder.onnx\n", "decoder.onnx:stream",
          "weights.bin", "manifest.json")  # fmt: skip
@@ -38,10 +38,10 @@ def test_a_manifest_cannot_name_anything_else(bundle: Path, name: str) -> None:
     (bundle / "manifest.json").write_bytes(sealed(value))
     best = 1.0
     for _ in range(3):
-        start = time.perf_counter()
+        start = time.thread_time()
         with opened_paths() as opened, pytest.raises(BundleError):
             read_bundle(bundle)
-        best = min(best, time.perf_counter() - start)
+        best = min(best, time.thread_time() - start)
         assert opened == [str(bundle / "manifest.json")]
     assert best < LONGEST
 
@@ -62,11 +62,11 @@ def external_graph(name: str, location: str) -> bytes:
 )
 def test_tensors_outside_the_file_are_refused(tmp_path: Path, name: str, location: str) -> None:
     folder = write_bundle(tmp_path / "external", {**bundle_files(), name: external_graph(name, location)})
-    read_bundle(write_bundle(tmp_path / "good", bundle_files())).read_optional("decoder_motion.onnx")  # loads modules
+    read_bundle(write_bundle(tmp_path / "good", bundle_files())).read_later("decoder_motion.onnx")  # loads modules
     with opened_paths() as opened, pytest.raises(BundleFormatError, match=f"{name} keeps tensors in another file"):
         bundle = read_bundle(folder)
         assert name in optional_graph_files()  # the others are refused when the bundle is read
-        bundle.read_optional(name)
+        bundle.read_later(name)
     assert all(Path(path).parent == folder for path in opened)
 
 

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import random
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from kinegraph import BundleIntegrityError, MotionPipeline
-from kinegraph.bundle.contract import optional_graph_files
+from kinegraph.bundle.contract import graph_files, optional_graph_files
 from kinegraph.bundle.reader import DEFAULT_BUNDLE, MANIFEST, read_bundle, read_manifest, text_files_folder
+from kinegraph.bundle.sessions import open_sessions
 from kinegraph.bundle.verify import verify_bundle
 from support.opened_paths import opened_paths
 from support.synthetic_bundle import bundle_files
@@ -33,7 +35,7 @@ def read_whole(folder: Path) -> None:
     """Read all files of a bundle, those too that are read at their first use."""
     bundle = read_bundle(folder)
     for name in optional_graph_files(bundle.manifest.format_version) & set(bundle.manifest.files):
-        bundle.read_optional(name)
+        bundle.read_later(name)
 
 
 def test_the_real_bundle_is_whole(real: Path) -> None:
@@ -103,10 +105,33 @@ def test_an_optional_graph_is_hashed_when_it_is_read(bundle: Path, name: str) ->
     good = (bundle / name).read_bytes()
     (bundle / name).write_bytes(bytes([good[0] ^ 1]) + good[1:])
     with pytest.raises(BundleIntegrityError, match=f"{name} differs"):
-        read.read_optional(name)
+        read.read_later(name)
     (bundle / name).unlink()
     with pytest.raises(BundleIntegrityError, match=f"{name} is missing"):
-        read.read_optional(name)
+        read.read_later(name)
+
+
+def open_as_a_pipeline_does(bundle: Path) -> None:
+    """Open the sessions of a bundle, whose files are let go of meanwhile."""
+    read = read_bundle(bundle)
+    open_sessions(replace(read, files={}), threads=1, files=dict(read.files))
+
+
+def test_a_large_graph_is_hashed_when_its_session_is_opened(bundle: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Released denoisers are gigabytes together: each is read, hashed and opened by itself."""
+    monkeypatch.setattr("kinegraph.bundle.reader.LARGE_FILE", 1)
+    assert not [name for name in read_bundle(bundle).files if name.endswith(".onnx")]
+    with opened_paths() as opened:
+        open_as_a_pipeline_does(bundle)
+    assert len(opened) == len(set(opened))
+    assert {str(bundle / name) for name in graph_files()} <= set(opened)
+    for name in ("denoiser_action.onnx", "text_encoder.onnx"):
+        good = (bundle / name).read_bytes()
+        (bundle / name).write_bytes(bytes([good[0] ^ 1]) + good[1:])
+        for load in (open_as_a_pipeline_does, verify_bundle):
+            with pytest.raises(BundleIntegrityError, match=f"{name} differs"):
+                load(bundle)
+        (bundle / name).write_bytes(good)
 
 
 @pytest.mark.usefixtures("no_sessions")

@@ -19,7 +19,7 @@ from support.synthetic_bundle import bundle_files, manifest_for, tables_npz, wri
 
 def test_a_good_bundle_is_read_whole(bundle: Path) -> None:
     read = read_bundle(bundle)
-    everything = {**read.files, **{name: read.read_optional(name) for name in optional_graph_files()}}
+    everything = {**read.files, **{name: read.read_later(name) for name in optional_graph_files()}}
     assert everything == bundle_files() and not optional_graph_files() & set(read.files)
     assert read.manifest == manifest_for(bundle_files())
     with np.load(io.BytesIO(tables_npz())) as expected:

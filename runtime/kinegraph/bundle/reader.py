@@ -1,4 +1,4 @@
-"""Read a bundle: a folder with `manifest.json` and the files that it lists, each read once and hashed.
+"""Read a bundle: a folder with `manifest.json` and the files that it lists, each hashed whenever it is read.
 
 Bundles that are installed with the package lie in `BUNDLES`, in folders of their names. They share the files that they
 have in common, which lie once in `BUNDLES / "shared"`:
@@ -48,6 +48,8 @@ MAX_FILE_BYTES: Final = 1 << 30
 """Below the 2 GiB limit of protobuf; the largest known text encoder takes half of it."""
 MAX_BUNDLE_BYTES: Final = 1 << 32
 """The released GraphMotion in float32 has 3.4 GB."""
+LARGE_FILE: Final = 1 << 26
+"""Bytes from which on a file is read when its session is opened: released denoisers, of which one at a time is held."""
 
 _OPEN_FLAGS: Final = (
     os.O_RDONLY
@@ -61,26 +63,34 @@ _OPEN_FLAGS: Final = (
 
 @dataclass(frozen=True)
 class Bundle:
-    """A bundle in memory, every byte checked. It holds all files: drop it once the sessions are open."""
+    """A bundle in memory, every byte checked. Drop it once the sessions are open: they have copies of what it holds."""
 
     path: Path
     manifest: Manifest
     files: Mapping[str, bytes]
-    """File name -> content, without the graphs of `contract.OPTIONAL_GRAPHS`."""
+    """File name -> content, without optional graphs and files of `LARGE_FILE` and more (`read_later`)."""
     tables: Mapping[str, FloatArray]
     """Arrays of `tables.npz` that the bundle has (`tables.table_shapes`), read-only."""
     vocabulary: Vocabulary | None = None
     """Words and phrases that training showed; None if the bundle has no `vocabulary.npz`."""
+    shared: frozenset[str] = frozenset()
+    """Files that lie beside the bundle (`SHARED`)."""
 
-    def read_optional(self, name: str) -> bytes:
-        """Read and check the file of an optional graph now; who never uses it does not pay for it.
+    def read_later(self, name: str) -> bytes:
+        """Read and check now the file of a graph that `files` lacks; nothing of it is kept.
+
+        Who never uses an optional graph does not pay for it, and large files are not in memory together.
 
         Raises:
             BundleFormatError, BundleIntegrityError: as in `read_bundle`.
         """
-        data = _read_listed(self.path, name, self.manifest.files[name])
+        data = _read_listed(_place(self.path, name, self.shared), name, self.manifest.files[name])
         check_self_contained(data, name)
         return data
+
+    def read_graph(self, name: str) -> bytes:
+        """Return the checked file of a graph, from `files` or from disk."""
+        return self.files[name] if name in self.files else self.read_later(name)
 
 
 def installed_bundles() -> dict[str, Path]:
@@ -109,7 +119,8 @@ def read_manifest(path: Path) -> Manifest:
 def read_bundle(path: str | Path | None = None) -> Bundle:
     """Read a bundle and check that it is complete and unaltered, without opening a session.
 
-    Optional graphs only have to exist: they are read at their first use (`Bundle.read_optional`).
+    Optional graphs and large ones only have to exist: they are read and checked when they are used
+    (`Bundle.read_later`), which for large ones is when sessions are opened.
 
     Args:
         path: folder of the bundle; None takes the default bundle. A text that is the name of an installed bundle is
@@ -124,17 +135,24 @@ def read_bundle(path: str | Path | None = None) -> Bundle:
     manifest = read_manifest(folder)
     shared = _check_listing(folder, manifest)
     _check_sizes(manifest.files)
-    lazy = optional_graph_files(manifest.format_version)
+    graphs = frozenset(graph_files(manifest.format_version, manifest.family))
+    large = {name for name in graphs if manifest.files[name].bytes >= LARGE_FILE}
+    later = optional_graph_files(manifest.format_version) | large
     files = {
-        name: _read_listed(folder.parent / SHARED if name in shared else folder, name, entry)
+        name: _read_listed(_place(folder, name, shared), name, entry)
         for name, entry in manifest.files.items()
-        if name not in lazy
+        if name not in later
     }
-    for name in graph_files(manifest.format_version, manifest.family):
+    for name in graphs - large:
         check_self_contained(files[name], name)
     tables = read_tables(files["tables.npz"], manifest)
     vocabulary = read_vocabulary(files[VOCABULARY], manifest.text.width) if VOCABULARY in files else None
-    return Bundle(folder, manifest, MappingProxyType(files), tables, vocabulary)
+    return Bundle(folder, manifest, MappingProxyType(files), tables, vocabulary, shared)
+
+
+def _place(folder: Path, name: str, shared: frozenset[str]) -> Path:
+    """Return the folder that a file of a bundle lies in."""
+    return folder.parent / SHARED if name in shared else folder
 
 
 def _folder(path: str | Path | None) -> Path:

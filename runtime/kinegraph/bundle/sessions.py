@@ -214,8 +214,8 @@ def open_sessions(
 
     def open_graph(graph: str, settings: onnxruntime.SessionOptions) -> onnxruntime.InferenceSession:
         contract = contracts[graph]
-        data = bundle.files[contract.file] if files is None else files.pop(contract.file)
-        return open_session(data, contract, settings)
+        data = bundle.files.get(contract.file) if files is None else files.pop(contract.file, None)
+        return open_session(data or bundle.read_later(contract.file), contract, settings)
 
     def lazy(graphs: Mapping[str, str], settings: onnxruntime.SessionOptions) -> Mapping[str, LazySession]:
         def at_first_use(contract: GraphContract) -> LazySession:
@@ -232,12 +232,14 @@ def open_sessions(
         for level, graph in DECODER_GRADIENTS.items()
         if graph in contracts
     }
+    # Opening a session takes its file twice more, so the largest go first.
+    denoisers = {level: open_graph(f"denoiser_{level}", steps) for level in levels}
     return Sessions(
         text_encoder=open_graph("text_encoder", wide),
         graph_encoder=open_graph("graph_encoder", wide) if "graph_encoder" in contracts else None,
         context=MappingProxyType({level: open_graph(f"context_{level}", wide) for level in levels}),
         modulation=MappingProxyType({level: open_graph(f"modulation_{level}", narrow) for level in levels}),
-        denoiser=MappingProxyType({level: open_graph(f"denoiser_{level}", steps) for level in levels}),
+        denoiser=MappingProxyType(denoisers),
         decoder=open_graph("decoder", wide),
         coarse_decoders=lazy(COARSE_DECODERS, wide),
         context_agd=lazy(AGD_CONTEXTS, wide),
@@ -250,11 +252,11 @@ def open_sessions(
 
 def _read_graph(bundle: Bundle, contract: GraphContract) -> bytes:
     """Read the file of an optional graph, with the weights that it shares with another."""
-    data = bundle.read_optional(contract.file)
+    data = bundle.read_later(contract.file)
     if contract.name not in WEIGHT_SOURCES:
         return data
     source = bundle.manifest.contracts[WEIGHT_SOURCES[contract.name]].file
-    return with_initializers(data, bundle.read_optional(source), source)
+    return with_initializers(data, bundle.read_later(source), source)
 
 
 def open_session(

@@ -6,7 +6,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from kinegraph.bundle.contract import optional_graph_files
 from kinegraph.bundle.onnx_inspect import summarise
 from kinegraph.bundle.reader import Bundle, read_bundle
 from kinegraph.bundle.sessions import open_sessions
@@ -53,8 +52,7 @@ def verify_bundle(path: str | Path | None = None) -> VerifyReport:
 
 
 def _check_operators(bundle: Bundle, name: str) -> int:
-    is_lazy = name in optional_graph_files(bundle.manifest.format_version)
-    data = bundle.read_optional(name) if is_lazy else bundle.files[name]
+    data = bundle.read_graph(name)
     summary = summarise(data, name)
     if summary.external_data:
         raise BundleFormatError(f"{name} keeps tensors in another file; export it with all data inside")
