@@ -45,8 +45,8 @@ from kinegraph_export.modules import (
 from kinegraph_export.onnx_export import serialise, store_float16, store_int8, strip_metadata, to_onnx
 from kinegraph_export.parity import InputGenerator, max_difference, module_arguments, relative_error
 from kinegraph_export.quantise import optimise_graph, quantise_dynamic
-from kinegraph_export.reverse_mode import derive_gradient, without_weights
-from kinegraph_export.shared_weights import without_shared
+from kinegraph_export.reverse_mode import derive_gradient
+from kinegraph_export.shared_weights import without_namesakes, without_shared
 from kinegraph_training.models.agd import AgdNoisePredictor
 from kinegraph_training.models.hierarchy import Hierarchy
 from kinegraph_training.models.vae import MotionVae
@@ -269,7 +269,7 @@ def export_gradient(
     parity = {contract.name: max_difference(serialise(derive_gradient(exact or decoder)), oracle, contract, draw)}
     if exact is not None:
         parity[f"int8_{contract.name}"] = relative_error(serialise(gradient), oracle, contract, draw)
-    return without_weights(gradient, decoder), parity
+    return without_namesakes(gradient, decoder), parity
 
 
 def _quantise_graph(model: onnx.ModelProto, name: str) -> onnx.ModelProto:

@@ -2,8 +2,8 @@
 
 The derived graph holds the nodes of the decoder, then for each of them, last to first, the nodes that carry the
 cotangent of its output back to its input (Griewank & Walther, *Evaluating Derivatives*, 2008, section 3.2). All weights
-keep their names, so a bundle need not hold them twice: `without_weights` leaves them out, and the runtime adds those of
-the decoder's file (`kinegraph.bundle.onnx_inspect.with_initializers`).
+keep their names, so a bundle need not hold them twice: `shared_weights.without_namesakes` leaves them out, and
+the runtime adds those of the decoder's file (`kinegraph.bundle.onnx_inspect.with_initializers`).
 
 Only what depends on the latent carries a cotangent, and only the operators of our decoders have a rule in `RULES`.
 """
@@ -227,16 +227,6 @@ def derive_gradient(decoder: onnx.ModelProto) -> onnx.ModelProto:
     if not any(opset.domain == MICROSOFT for opset in model.opset_import):
         model.opset_import.append(helper.make_opsetid(MICROSOFT, 1))
     return model
-
-
-def without_weights(model: onnx.ModelProto, decoder: onnx.ModelProto) -> bytes:
-    """Serialise a derived graph without the initializers that its decoder has."""
-    lean = copy.deepcopy(model)
-    shared = {tensor.name for tensor in decoder.graph.initializer}
-    own = [tensor for tensor in lean.graph.initializer if tensor.name not in shared]
-    del lean.graph.initializer[:]
-    lean.graph.initializer.extend(own)
-    return lean.SerializeToString(deterministic=True)
 
 
 def _renamed(value: onnx.ValueInfoProto, name: str) -> onnx.ValueInfoProto:

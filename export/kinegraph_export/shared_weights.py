@@ -1,10 +1,14 @@
 """Leave out of an ONNX file the weights that another file of the bundle has: they are stored once.
 
+    without_shared      graphs of one module that were exported apart: weights are equal, names need not be
+    without_namesakes   a graph that was derived from another: it has all of its weights, under their names
+
 `kinegraph.bundle.contract.WEIGHT_SOURCES` says which file has them, and the runtime adds them when it opens the graph.
 """
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Iterable
 from typing import Final
 
@@ -47,6 +51,14 @@ def without_shared(data: bytes, source: bytes) -> bytes:
         _replace(node.input, [names.get(name, name) for name in node.input])
         _replace(node.output, [names.get(name, name) for name in node.output])
     return model.SerializeToString(deterministic=True)
+
+
+def without_namesakes(model: onnx.ModelProto, source: onnx.ModelProto) -> bytes:
+    """Serialise a graph without the initializers whose names are those of another; they must be the same tensors."""
+    lean = copy.deepcopy(model)
+    names = {tensor.name for tensor in source.graph.initializer}
+    _replace(lean.graph.initializer, [tensor for tensor in lean.graph.initializer if tensor.name not in names])
+    return lean.SerializeToString(deterministic=True)
 
 
 def _content(tensor: onnx.TensorProto) -> tuple[int, tuple[int, ...], bytes]:

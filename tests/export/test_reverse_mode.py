@@ -12,7 +12,8 @@ from kinegraph.bundle.contract import COARSE_DECODERS, DECODER_GRADIENTS, LEVELS
 from kinegraph.bundle.onnx_inspect import with_initializers
 from kinegraph.bundle.reader import read_bundle
 from kinegraph.errors import InvalidInputError
-from kinegraph_export.reverse_mode import derive_gradient, without_weights
+from kinegraph_export.reverse_mode import derive_gradient
+from kinegraph_export.shared_weights import without_namesakes
 from support.toy import TOY_BUNDLE
 
 
@@ -26,7 +27,7 @@ def test_a_derived_gradient_is_that_of_finite_differences(level: str) -> None:
     decoder = onnx.load_model_from_string(data)
     gradient = derive_gradient(decoder)
     onnx.checker.check_model(gradient)
-    lean = without_weights(gradient, decoder)
+    lean = without_namesakes(gradient, decoder)
     assert len(lean) < len(data) and gradient.SerializeToString() != lean
     run = onnxruntime.InferenceSession(data, providers=["CPUExecutionProvider"]).run
     merged = with_initializers(lean, data, "decoder.onnx")
@@ -50,7 +51,7 @@ def test_a_derived_gradient_is_that_of_finite_differences(level: str) -> None:
 def test_the_bundle_holds_the_gradient_of_its_own_decoder(level: str) -> None:
     decoder = onnx.load_model_from_string(decoder_bytes(level))
     stored = read_bundle(TOY_BUNDLE).read_later(f"{DECODER_GRADIENTS[level]}.onnx")
-    assert stored == without_weights(derive_gradient(decoder), decoder)
+    assert stored == without_namesakes(derive_gradient(decoder), decoder)
 
 
 def test_an_operator_without_a_rule_is_named() -> None:
