@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
-from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
@@ -29,13 +28,13 @@ from kinegraph.bundle.contract import (
     LevelSpec,
 )
 from kinegraph.bundle.frames_part import FramesPart, frame_contracts
-from kinegraph.bundle.manifest import Manifest, describe_file, encode_manifest
-from kinegraph.bundle.onnx_inspect import summarise
-from kinegraph.bundle.reader import MANIFEST, read_bundle
+from kinegraph.bundle.manifest import Manifest
+from kinegraph.bundle.reader import read_bundle
 from kinegraph.errors import InvalidInputError
 from kinegraph.motion.postprocess import enforce_bone_lengths
 from kinegraph.options import resolve_options
 from kinegraph.pipeline import MotionPipeline
+from kinegraph_export.bundle_changes import unchanged_if_it_fails, with_graphs, write_files
 from kinegraph_export.export_bundle import MAX_PIPELINE_MM, PROMPTS
 from kinegraph_export.graphs import export_graph
 from kinegraph_export.modules import (
@@ -207,34 +206,13 @@ def add_frames(folder: Path, run: Path, steps: int = STEPS, guidance: float = GU
         parity |= differences
     file, source = declared[FRAMES_DENOISER_AGD].file, declared[FRAMES_DENOISER].file
     files[file] = without_shared(files[file], files[source])
-    operators = {name: summarise(data, name).operators for name, data in files.items()}
-    changed = dataclasses.replace(
-        manifest,
-        frames_part=part,
-        files=dict(sorted({**manifest.files, **{name: describe_file(data) for name, data in files.items()}}.items())),
-        operators=dict(sorted({**manifest.operators, **operators}.items())),
-        parity={**manifest.parity, **parity},
-    )
-    before = {name: (folder / name).read_bytes() for name in (MANIFEST, *FRAME_FILES) if (folder / name).is_file()}
-    try:
-        write_files(folder, {**files, MANIFEST: encode_manifest(changed)})
+    with unchanged_if_it_fails(folder, FRAME_FILES):
+        write_files(folder, with_graphs(manifest, files, parity, frames_part=part), files)
         parity["frames_mm"] = pipeline_difference(folder, trained)
         if not parity["frames_mm"] <= MAX_PIPELINE_MM[manifest.precision]:
             raise ParityError(f"clips of skeleton space are {parity['frames_mm']:.3f} mm from torch")
-        changed = dataclasses.replace(changed, parity={**manifest.parity, **parity})
-        write_files(folder, {MANIFEST: encode_manifest(changed)})
-    except BaseException:  # the bundle stays what it was
-        for name in files:
-            (folder / name).unlink(missing_ok=True)
-        write_files(folder, before)
-        raise
+        write_files(folder, with_graphs(manifest, files, parity, frames_part=part))
     return parity
-
-
-def write_files(folder: Path, files: Mapping[str, bytes]) -> None:
-    """Write files into a folder."""
-    for name, data in files.items():
-        (folder / name).write_bytes(data)
 
 
 def main(argv: list[str] | None = None) -> None:

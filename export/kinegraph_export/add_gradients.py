@@ -10,7 +10,6 @@ is compared with torch, as in `export_bundle`.
 from __future__ import annotations
 
 import argparse
-import dataclasses
 from pathlib import Path
 
 import numpy as np
@@ -28,10 +27,10 @@ from kinegraph.bundle.contract import (
     WEIGHT_SOURCES,
     contracts,
 )
-from kinegraph.bundle.manifest import describe_file, encode_manifest
-from kinegraph.bundle.onnx_inspect import summarise
 from kinegraph.bundle.reader import Bundle, read_bundle
+from kinegraph.bundle.verify import verify_bundle
 from kinegraph.errors import InvalidInputError
+from kinegraph_export.bundle_changes import unchanged_if_it_fails, with_graphs, write_files
 from kinegraph_export.graphs import export_gradient, export_graph
 from kinegraph_export.modules import CoarseDecoderGraph, DecoderGraph, EncoderGraph
 from kinegraph_export.recover import dequantised_weights, recover_autoencoder
@@ -95,7 +94,7 @@ def add_gradients(folder: Path, vaes: Path) -> dict[str, float]:
     """Write the graphs of constraints into a bundle's folder, and its manifest anew; returns their parity.
 
     Raises:
-        BundleError: the bundle cannot be read.
+        BundleError: the bundle cannot be read, or would not be with the new graphs; it is left as it was.
         InvalidInputError: it is of an older format or of other networks; see also `constraint_graphs`.
     """
     bundle = read_bundle(folder)
@@ -109,23 +108,10 @@ def add_gradients(folder: Path, vaes: Path) -> dict[str, float]:
     for graph in manifest.contracts.keys() & set(AGD_DENOISERS.values()):
         file, source = (manifest.contracts[name].file for name in (graph, WEIGHT_SOURCES[graph]))
         files[file] = without_shared(bundle.read_later(file), bundle.read_later(source))
-    for name, data in files.items():
-        (folder / name).write_bytes(data)
-    manifest = dataclasses.replace(
-        manifest,
-        format_version=FORMAT_VERSION,
-        files=dict(sorted({**manifest.files, **{name: describe_file(data) for name, data in files.items()}}.items())),
-        operators=dict(
-            sorted(
-                {
-                    **manifest.operators,
-                    **{name: summarise(data, name).operators for name, data in files.items()},
-                }.items()
-            )
-        ),
-        parity={**manifest.parity, **parity},
-    )
-    (folder / "manifest.json").write_bytes(encode_manifest(manifest))
+    changed = with_graphs(manifest, files, parity, format_version=FORMAT_VERSION)
+    with unchanged_if_it_fails(folder, files):
+        write_files(folder, changed, files)
+        verify_bundle(folder)
     return parity
 
 
