@@ -87,13 +87,17 @@ def model(nodes: Sequence[bytes], inputs: bytes = b"", outputs: bytes = b"", ini
 def filler_model(contract: GraphContract) -> bytes:
     """Build a model that onnxruntime loads, with the contract's inputs and outputs.
 
-    Every output is zeros of a size that shape inference cannot tell, so that any declared shape is accepted.
+    Every output is zeros of a size that shape inference cannot tell, so that any declared shape is accepted. The
+    gradient of a decoder has the features among its tensors (`bundle.onnx_split`).
     """
     to_int = field(5, field(1, "to") + field(3, 7) + field(20, 2))
+    features = ("features",) if any(spec.name == "cotangent" for spec in contract.inputs) else ()
     nodes = [
         node("Unique", [contract.inputs[0].name], ["unique"]),
         node("Cast", ["unique"], ["sizes"], to_int),
-        *(node("ConstantOfShape", ["sizes"], [spec.name]) for spec in contract.outputs),
+        *(node("ConstantOfShape", ["sizes"], [name]) for name in features),
+        *(node("Cast", [name], ["more"], to_int) for name in features),
+        *(node("ConstantOfShape", ["more" if features else "sizes"], [spec.name]) for spec in contract.outputs),
     ]
     inputs = b"".join(field(11, value_info(spec)) for spec in contract.inputs)
     outputs = b"".join(field(12, value_info(spec)) for spec in contract.outputs)

@@ -317,7 +317,8 @@ def decoder(name: str, level: LevelSpec, features: int) -> GraphContract:
 def decoder_gradient(name: str, level: LevelSpec, features: int) -> GraphContract:
     """Declare the vector-Jacobian product of one level's decoder: dE/dz from dE/dfeatures.
 
-    `cotangent` is dE/dfeatures for the normalised features of `decoder`; `gradient` is dE/dlatent.
+    `cotangent` is dE/dfeatures for the normalised features of `decoder`; `gradient` is dE/dlatent. The graph has
+    the features as its tensor `features`, where it is split (`onnx_split`).
 
     Args:
         name: one of `LEVELS`.

@@ -8,7 +8,7 @@ back to the latent. Run in two parts, the decoder runs once for both (Griewank &
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Sequence, Set
 from dataclasses import dataclass
 
 from kinegraph.bundle.onnx_inspect import MalformedError, fields, length_delimited, nested
@@ -57,12 +57,15 @@ def split_gradient(model: bytes, name: str, features: str = "features", gradient
         if tensor.encode() not in given:
             raise BundleFormatError(f"{name} has no tensor {tensor!r}, so that it is no gradient of a decoder")
     constant = graph.constants()
-    before, _ = _needed(graph.nodes, features.encode(), frozenset())
+    before, first_read = _needed(graph.nodes, features.encode(), frozenset())
     known = frozenset(tensor for node in before for tensor in node.outputs) - constant
     after, read = _needed(graph.nodes, gradient.encode(), known)
     kept = sorted(read & known)
-    forward = graph.part(before, [], [features.encode(), *(tensor for tensor in kept if tensor != features.encode())])
-    return SplitGraph(forward, graph.part(after, kept, [gradient.encode()]), tuple(tensor.decode() for tensor in kept))
+    outputs = [features.encode(), *(tensor for tensor in kept if tensor != features.encode())]
+    forward = graph.part(before, first_read, [], outputs)
+    unread = graph.inputs.keys() - first_read  # so that both together have all inputs
+    backward = graph.part(after, read | unread, kept, [gradient.encode()])
+    return SplitGraph(forward, backward, tuple(tensor.decode() for tensor in kept))
 
 
 @dataclass(frozen=True)
@@ -115,9 +118,10 @@ class _Graph:
                 known.update(node.outputs)
         return frozenset(known)
 
-    def part(self, nodes: Sequence[_Node], further: Sequence[bytes], outputs: Sequence[bytes]) -> bytes:
-        """Write a model of some of the nodes, with their weights and inputs, and further inputs of float32."""
-        read = {tensor for node in nodes for tensor in node.inputs}
+    def part(
+        self, nodes: Sequence[_Node], read: Set[bytes], further: Sequence[bytes], outputs: Sequence[bytes]
+    ) -> bytes:
+        """Write a model of some of the nodes, with the weights and inputs that are read, and further float32 inputs."""
         body = bytearray(_field(_NAME, self.name))
         for node in nodes:
             body += _field(_NODE, node.data)
