@@ -212,7 +212,8 @@ def test_the_twist_of_a_turn_is_that_of_the_textbook() -> None:
 def test_a_limb_that_flips_would_be_seen(monkeypatch: pytest.MonkeyPatch) -> None:
     assert largest_twist(walk(40)) < 45
     monkeypatch.setattr(
-        "kinegraph.motion.kinematics.hinge_twist", lambda _, goal, *rest, **more: np.pi * (np.arange(len(goal)) == 20)
+        "kinegraph.motion.kinematics.hinge_twist",
+        lambda _, goal, *rest, **more: np.pi * (np.arange(len(goal)) == 20)[:, None] * np.ones(goal.shape[1]),
     )
     assert largest_twist(walk(40)) > 150
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 import os
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
@@ -22,7 +23,15 @@ from kinegraph.formats.bvh_skeleton import BvhSkeleton, read_skeleton
 from kinegraph.formats.bvh_skeleton import encode as encode_bvh
 from kinegraph.formats.character_files import MAX_BYTES, embed, read_bytes, refuse_compressed
 from kinegraph.formats.glb import provenance
-from kinegraph.formats.gltf import Buffer, Document, add_animation, container, parse_document, split_container
+from kinegraph.formats.gltf import (
+    Buffer,
+    Document,
+    DocumentText,
+    add_animation,
+    container,
+    parse_document,
+    split_container,
+)
 from kinegraph.formats.gltf_rig import read_rig, vrm_bones, with_parts
 from kinegraph.formats.gltf_skin import find_floor, spread_points
 from kinegraph.motion.body_shape import BodyShape
@@ -65,6 +74,11 @@ class Character:
     def pelvis(self) -> int:
         """Node of the pelvis."""
         return self.humanoid.bones["pelvis"]
+
+    @cached_property
+    def text(self) -> DocumentText:
+        """JSON of the document."""
+        return DocumentText(self.document)
 
     @property
     def suffix(self) -> str:
@@ -196,30 +210,30 @@ def _retargeted(shown: CharacterClip, rig: Rig, root: int | None) -> RigMotion:
 
 
 def _encode(shown: CharacterClip) -> bytes:
-    """Add the animation to a copy of the document, which shares all that does not change."""
-    document, character = dict(shown.character.document), shown.character
-    nodes, rig, root = list(document["nodes"]), character.rig, None
+    """Add the animation to the file; what does not change is neither copied nor encoded again."""
+    character, changed, root = shown.character, Document(), None
+    document, rig = character.document, character.rig
+    nodes = list(document["nodes"])
     if shown.root:
         root = _root_node(character)
         if root < 0:
             root, rig = len(nodes), _with_root(rig, character.pelvis)
             nodes.append({"name": ROOT_NAME, "children": [character.pelvis]})
-            document["scenes"] = [
-                _with_root_in(scene, nodes[-1]["children"][0], root) for scene in document.get("scenes", ())
-            ]
+            changed["scenes"] = [_with_root_in(scene, character.pelvis, root) for scene in document.get("scenes", ())]
     motion = _retargeted(shown, rig, root)
     for node in {*motion.rotations, *motion.translations}:
         nodes[node] = with_parts(nodes[node], rig, node)
-    buffer = Buffer(character.binary, document.get("bufferViews", ()), document.get("accessors", ()))
-    animation = _animation(buffer, shown, motion, document.get("animations", []))
-    document |= {
-        "nodes": nodes,
-        "animations": [*document.get("animations", []), animation],
-        "accessors": buffer.accessors,
-        "bufferViews": buffer.views,
-        "buffers": [{**(document.get("buffers") or [{}])[0], "byteLength": len(buffer.data)}],
+    if nodes != document["nodes"]:
+        changed["nodes"] = nodes
+    views, accessors = document.get("bufferViews", ()), document.get("accessors", ())
+    buffer = Buffer(character.binary, views, accessors)
+    appended = {
+        "animations": [_animation(buffer, shown, motion, document.get("animations", []))],
+        "accessors": buffer.accessors[len(accessors) :],
+        "bufferViews": buffer.views[len(views) :],
     }
-    return container(document, bytes(buffer.data))
+    changed["buffers"] = [{**(document.get("buffers") or [{}])[0], "byteLength": buffer.size}]
+    return container(character.text.changed(changed, appended), buffer)
 
 
 def _with_root(rig: Rig, pelvis: int) -> Rig:

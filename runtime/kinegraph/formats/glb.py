@@ -60,9 +60,9 @@ def encode(clip: Clip, names: str = DEFAULT_NAMES, root: bool = False) -> bytes:
         "animations": [_animation(buffer, clip, _tracks(motion, clip, root))],
         "accessors": buffer.accessors,
         "bufferViews": buffer.views,
-        "buffers": [{"byteLength": len(buffer.data)}],
+        "buffers": [{"byteLength": buffer.size}],
     }
-    return container(document, bytes(buffer.data))
+    return container(document, buffer)
 
 
 def provenance(clip: Clip) -> dict[str, Any]:

@@ -37,10 +37,16 @@ class Buffer:
         self, data: bytes = b"", views: Sequence[dict[str, Any]] = (), accessors: Sequence[dict[str, Any]] = ()
     ) -> None:
         """Start empty, or with what a file has already."""
-        self.data = bytearray(data)
-        self.data += b"\0" * (-len(data) % 4)
+        self.parts: list[bytes] = []
+        self.size = 0
         self.views = list(views)
         self.accessors = list(accessors)
+        self._append(data)
+
+    def _append(self, data: bytes) -> None:
+        padding = b"\0" * (-len(data) % 4)
+        self.parts += [data, padding] if padding else [data]
+        self.size += len(data) + len(padding)
 
     def add(self, array: NDArray[Any], *, target: int | None = None, bounds: bool = False) -> int:
         """Append an array and return the index of its accessor.
@@ -50,10 +56,9 @@ class Buffer:
             target: what the GPU uses the view for, `ARRAY_BUFFER` or `ELEMENT_ARRAY_BUFFER`.
             bounds: store the minimum and maximum; glTF requires them for positions and times.
         """
-        view = {"buffer": 0, "byteOffset": len(self.data), "byteLength": array.nbytes}
+        view = {"buffer": 0, "byteOffset": self.size, "byteLength": array.nbytes}
         self.views.append(view if target is None else {**view, "target": target})
-        self.data += np.ascontiguousarray(array).tobytes()
-        self.data += b"\0" * (-len(self.data) % 4)
+        self._append(array.tobytes())
         accessor = {
             "bufferView": len(self.views) - 1,
             "componentType": _COMPONENTS[array.dtype.name],
@@ -79,22 +84,44 @@ def add_animation(
         rotations: node -> (frames, 4) quaternions w, x, y, z.
     """
     # glTF orders quaternions x, y, z, w
-    tracks = [("translation", node, track) for node, track in translations.items()]
-    tracks += [("rotation", node, track[:, [1, 2, 3, 0]]) for node, track in rotations.items()]
+    turns = np.stack(list(rotations.values()))[..., [1, 2, 3, 0]].astype(np.float32)
+    tracks = [("translation", node, track.astype(np.float32)) for node, track in translations.items()]
+    tracks += [("rotation", node, turn) for node, turn in zip(rotations, turns, strict=True)]
     times = buffer.add((np.arange(len(tracks[0][2])) / fps).astype(np.float32), bounds=True)
     samplers, channels = [], []
     for path, node, values in tracks:
-        samplers.append({"input": times, "output": buffer.add(values.astype(np.float32)), "interpolation": "LINEAR"})
+        samplers.append({"input": times, "output": buffer.add(values), "interpolation": "LINEAR"})
         channels.append({"sampler": len(samplers) - 1, "target": {"node": node, "path": path}})
     return {"name": name, "samplers": samplers, "channels": channels}
 
 
-def container(document: dict[str, Any], binary: bytes) -> bytes:
-    """Assemble header, JSON chunk and binary chunk, each padded to four bytes."""
-    text = json.dumps(document, separators=(",", ":"), ensure_ascii=False).encode()
+class DocumentText:
+    """The JSON of a document that is written again and again, each time with more in it: what stays is encoded once."""
+
+    def __init__(self, document: Document) -> None:
+        """Encode a document, value by value."""
+        self._texts = {key: _encode(value) for key, value in document.items()}
+
+    def changed(self, replaced: Document, appended: Mapping[str, list[Document]]) -> str:
+        """Return the JSON of the document with some of its values replaced, and its lists longer."""
+        texts = self._texts | {key: _encode(value) for key, value in replaced.items()}
+        for key, items in appended.items():
+            before = texts.get(key, "[]")[1:-1]
+            texts[key] = f"[{before}{',' if before and items else ''}{_encode(items)[1:-1]}]"
+        return f"{{{','.join(f'{_encode(key)}:{text}' for key, text in texts.items())}}}"
+
+
+def _encode(value: Any) -> str:
+    return json.dumps(value, separators=(",", ":"), ensure_ascii=False)
+
+
+def container(document: Document | str, buffer: Buffer) -> bytes:
+    """Assemble header, JSON chunk and binary chunk, each padded to four bytes; a document may be JSON already."""
+    text = (document if isinstance(document, str) else _encode(document)).encode()
     text += b" " * (-len(text) % 4)
-    chunks = struct.pack("<I4s", len(text), b"JSON") + text + struct.pack("<I4s", len(binary), b"BIN\0") + binary
-    return struct.pack("<4sII", b"glTF", 2, 12 + len(chunks)) + chunks
+    header = struct.pack("<4sII", b"glTF", 2, 28 + len(text) + buffer.size)
+    binary = struct.pack("<I4s", buffer.size, b"BIN\0")
+    return b"".join([header, struct.pack("<I4s", len(text), b"JSON"), text, binary, *buffer.parts])
 
 
 def split_container(data: bytes) -> tuple[Document, bytes]:

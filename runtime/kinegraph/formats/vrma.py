@@ -57,11 +57,11 @@ def encode(clip: Clip) -> bytes:
         "animations": [animation],
         "accessors": buffer.accessors,
         "bufferViews": buffer.views,
-        "buffers": [{"byteLength": len(buffer.data)}],
+        "buffers": [{"byteLength": buffer.size}],
         "extensionsUsed": ["VRMC_vrm_animation"],
         "extensions": {"VRMC_vrm_animation": {"specVersion": "1.0", "humanoid": {"humanBones": bones}}},
     }
-    return container(document, bytes(buffer.data))
+    return container(document, buffer)
 
 
 def _body(offsets: Floats) -> tuple[Rig, Humanoid]:

@@ -28,6 +28,7 @@ from kinegraph.motion.quaternions import (
     about_axis,
     conjugate,
     continuous_signs,
+    cross,
     from_matrix,
     multiply,
     normalised,
@@ -49,6 +50,17 @@ CHILDREN: Final[tuple[tuple[int, ...], ...]] = tuple(
     tuple(child for child, parent in enumerate(PARENTS) if parent == joint) for joint in range(JOINTS)
 )
 
+
+def _by_depth() -> tuple[list[int], ...]:
+    levels = [[PELVIS]]
+    while below := [child for joint in levels[-1] for child in CHILDREN[joint]]:
+        levels.append(below)
+    return tuple(levels[1:])
+
+
+BY_DEPTH: Final = _by_depth()
+"""Joints below the pelvis that are as far from it as one another; parents before children."""
+
 CHEST: Final = JOINT_INDEX["spine3"]
 SPINE: Final = (JOINT_INDEX["spine1"], JOINT_INDEX["spine2"])
 """Joints between pelvis and chest; they share the twist with the chest."""
@@ -65,6 +77,16 @@ HINGES: Final[dict[int, tuple[int, int, tuple[float, float, float]]]] = {
 
 Right-handed rotation about the axis bends forearms forward and shins backward.
 """
+
+SOLVED_TOGETHER: Final[tuple[list[int], ...]] = tuple(
+    [JOINT_INDEX[name] for name in names.split()]
+    for names in (
+        "spine1", "spine2", "spine3", "neck left_collar right_collar",
+        "left_hip right_hip left_shoulder right_shoulder", "left_knee right_knee left_elbow right_elbow",
+        "left_ankle right_ankle",
+    )
+)  # fmt: skip
+"""Joints that turn, below the pelvis: of one kind, none below another of its group; parents before children."""
 
 TRUSTED_BEND: Final = 0.35
 """Sine of the bend (20 degrees) from which its plane has the full weight of 1."""
@@ -141,34 +163,43 @@ def rotations_from_positions(joints: Floats, fps: float, *, loops: bool = False)
     local = np.tile(np.array(IDENTITY), (len(target), JOINTS, 1))
     world = local.copy()
     solved = np.zeros_like(target)
-    chest_children, pelvis_children = list(CHILDREN[CHEST]), list(CHILDREN[PELVIS])
-    pelvis = _best_rotation(offsets[pelvis_children], target[:, pelvis_children] - target[:, :1])
-    chest = _best_rotation(offsets[chest_children], target[:, chest_children] - target[:, CHEST, None])
-    twist_share = spine_twist(pelvis, chest) / (1 + len(SPINE))
-    # a generated pelvis is not quite rigid: pelvis and its children share the error that its rotation leaves
-    missed = target[:, pelvis_children] - target[:, :1] - rotate(pelvis[:, None], offsets[pelvis_children])
-    root = target[:, 0] + missed.sum(axis=1) / (1 + len(pelvis_children))
-    for joint in range(JOINTS):
-        parent = PARENTS[joint]
-        parent_world = world[:, parent] if joint else world[:, joint]
-        solved[:, joint] = root if not joint else solved[:, parent] + rotate(parent_world, offsets[joint])
-        children = list(CHILDREN[joint])
+    root, twist_share = _root_and_twist(target, offsets)
+    children = list(CHILDREN[PELVIS])
+    solved[:, PELVIS] = root
+    world[:, PELVIS] = local[:, PELVIS] = _best_rotation(offsets[children], target[:, children] - root[:, None])
+    for group in SOLVED_TOGETHER:
+        parents, children = [PARENTS[joint] for joint in group], [CHILDREN[joint][0] for joint in group]
+        if group == [CHEST]:
+            children = list(CHILDREN[CHEST])
+        above, bones = world[:, parents], offsets[children]
+        back = conjugate(above)
+        solved[:, group] = solved[:, parents] + rotate(above, offsets[group])
         # aim from the solved position, not from the target's: errors do not add up along a limb
-        goals = rotate(conjugate(parent_world)[:, None], target[:, children] - solved[:, joint, None])
-        if len(children) > 1:
-            local[:, joint] = _best_rotation(offsets[children], goals)
-        elif children:
-            local[:, joint] = shortest_rotation(offsets[children[0]], goals[:, 0])
-            if joint in HINGES:
-                middle, end, axis = HINGES[joint]
-                lower = rotate(conjugate(parent_world), target[:, end] - target[:, middle])
-                angle = hinge_twist(offsets[middle], goals[:, 0], lower, np.array(axis), fps, loops=loops)
-                local[:, joint] = apply_twist(local[:, joint], offsets[middle], angle)
-            elif joint in SPINE:
-                local[:, joint] = apply_twist(local[:, joint], offsets[children[0]], twist_share)
-        world[:, joint] = multiply(parent_world, local[:, joint])
+        goals = rotate(back, target[:, children] - solved[:, group])
+        turns = _best_rotation(bones, goals)[:, None] if group == [CHEST] else shortest_rotation(bones, goals)
+        if group[0] in HINGES:
+            ends, axes = [HINGES[joint][1] for joint in group], np.array([HINGES[joint][2] for joint in group])
+            lower = rotate(back, target[:, ends] - target[:, children])
+            turns = apply_twist(turns, bones, hinge_twist(bones, goals, lower, axes, fps, loops=loops))
+        elif group[0] in SPINE:
+            turns = apply_twist(turns, bones, twist_share[:, None])
+        local[:, group], world[:, group] = turns, multiply(above, turns)
+    leaves = [joint for joint in range(JOINTS) if not CHILDREN[joint]]
+    parents = [PARENTS[joint] for joint in leaves]
+    solved[:, leaves] = solved[:, parents] + rotate(world[:, parents], offsets[leaves])
     error = np.linalg.norm(solved - target, axis=-1)
     return SkeletonMotion(offsets, root, continuous_signs(local), error)
+
+
+def _root_and_twist(target: Floats, offsets: Floats) -> tuple[Floats, Floats]:
+    """Compute the position (frames, 3) of the pelvis, and the twist (frames,) of each joint of the spine."""
+    forks, children = [PELVIS, CHEST], np.array([CHILDREN[PELVIS], CHILDREN[CHEST]])
+    goals = (target[:, children] - target[:, forks, None]).swapaxes(0, 1)
+    pelvis, chest = _best_rotation(offsets[children][:, None], goals)
+    # a generated pelvis is not quite rigid: pelvis and its children share the error that its rotation leaves
+    missed = goals[0] - rotate(pelvis[:, None], offsets[children[0]])
+    root = target[:, 0] + missed.sum(axis=1) / (1 + len(children[0]))
+    return root, spine_twist(pelvis, chest) / (1 + len(SPINE))
 
 
 @dataclass(frozen=True)
@@ -241,10 +272,10 @@ def forward_kinematics(offsets: Floats, root: Floats, rotations: Floats) -> Floa
     joints = np.zeros((len(rotations), JOINTS, 3))
     world = np.array(rotations, dtype=np.float64)
     joints[:, 0] = root
-    for joint in range(1, JOINTS):
-        parent = PARENTS[joint]
-        joints[:, joint] = joints[:, parent] + rotate(world[:, parent], offsets[joint])
-        world[:, joint] = multiply(world[:, parent], world[:, joint])
+    for level in BY_DEPTH:
+        parents = [PARENTS[joint] for joint in level]
+        joints[:, level] = joints[:, parents] + rotate(world[:, parents], offsets[level])
+        world[:, level] = multiply(world[:, parents], world[:, level])
     return joints
 
 
@@ -272,25 +303,25 @@ def rest_offsets(joints: Floats) -> Floats:
 
 
 def hinge_twist(rest: Floats, goal: Floats, lower: Floats, axis: Floats, fps: float, *, loops: bool = False) -> Floats:
-    """Compute the twist about the upper bone that rotates the rest hinge axis onto the one observed.
+    """Compute the twist about upper bones that rotates the rest hinge axis onto the one observed.
 
     Args:
-        rest: (3,) the upper bone at rest.
-        goal: (frames, 3) the upper bone, in the frame of its parent.
-        lower: (frames, 3) the lower bone, in the same frame.
-        axis: (3,) of the hinge at rest.
+        rest: (..., 3) the upper bones at rest.
+        goal: (frames, ..., 3) the upper bones, in the frame of their parents.
+        lower: (frames, ..., 3) the lower bones, in the same frame.
+        axis: (..., 3) of the hinges at rest.
         fps: frames per second.
         loops: treat the clip as periodic (last frame == first), so smoothing wraps around.
 
     Returns:
-        (frames,) radians.
+        (frames, ...) radians.
     """
     bone = normalised(goal)
     # observed hinge axis: normal of the bend plane, as long as the sine of the bend
-    normal = np.cross(bone, normalised(lower), axis=-1)
+    normal = cross(bone, normalised(lower))
     swung = rotate(shortest_rotation(rest, goal), np.asarray(axis, dtype=np.float64))
     # angle about the bone from the swung rest axis to the observed one
-    sine = (np.cross(swung, normal, axis=-1) * bone).sum(-1)
+    sine = (cross(swung, normal) * bone).sum(-1)
     cosine = (swung * normal).sum(-1)
     size = np.hypot(sine, cosine)
     weight = np.minimum(size / TRUSTED_BEND, 1.0) ** 2
@@ -319,14 +350,14 @@ def apply_twist(swing: Floats, rest: Floats, angle: Floats) -> Floats:
     """Compose swing and twist: rotate about the resting bone first, then swing it.
 
     Args:
-        swing: (frames, 4) quaternions.
-        rest: (3,) the bone at rest.
-        angle: (frames,) radians of twist.
+        swing: (frames, ..., 4) quaternions.
+        rest: (..., 3) the bones at rest.
+        angle: (frames, ...) radians of twist.
 
     Returns:
-        (frames, 4).
+        (frames, ..., 4).
     """
-    half = np.asarray(angle)[:, None] / 2
+    half = np.asarray(angle)[..., None] / 2
     twist = np.concatenate([np.cos(half), np.sin(half) * normalised(np.asarray(rest, dtype=np.float64))], axis=-1)
     return multiply(swing, twist)
 
@@ -334,27 +365,32 @@ def apply_twist(swing: Floats, rest: Floats, angle: Floats) -> Floats:
 def _body_axes(across: Floats, up: Floats) -> Floats:
     """Build the axes (frames, 3, 3) of a body part: rows x (to the left), y (up the spine), z (ahead)."""
     x = normalised(np.asarray(across, dtype=np.float64))
-    z = normalised(np.cross(x, up, axis=-1))
-    return np.stack([x, np.cross(z, x, axis=-1), z], axis=-2)
+    z = normalised(cross(x, up))
+    return np.stack([x, cross(z, x), z], axis=-2)
 
 
 def _best_rotation(rest: Floats, goals: Floats) -> Floats:
-    """Fit the rotations (frames, 4) that take `rest` (n, 3) to `goals` (frames, n, 3) in least squares."""
-    u, _, vt = np.linalg.svd(np.einsum("tci,cj->tij", goals, rest))
+    """Fit the rotations (..., 4) that take `rest` (..., n, 3) to `goals` (..., n, 3) in least squares."""
+    u, _, vt = np.linalg.svd(goals.swapaxes(-1, -2) @ rest)
     # R = U diag(1, 1, det(U V^T)) V^T: a rotation, not a reflection
-    u[..., 2] *= np.sign(np.linalg.det(u @ vt))[:, None]
+    u[..., 2] *= np.sign(np.linalg.det(u @ vt))[..., None]
     return from_matrix(u @ vt)
 
 
 def _windowed_mean(
     values: NDArray[np.complexfloating[Any, Any]], radius: int, loops: bool
 ) -> NDArray[np.complexfloating[Any, Any]]:
-    """Average over `radius` frames to each side with Gaussian weights.
+    """Average (frames, ...) over `radius` frames to each side with Gaussian weights.
 
     Frames beyond the ends are left out; with `loops` they are those of the rounds before and after.
     """
     gaussian = np.exp(-0.5 * (np.arange(-radius, radius + 1) / (radius / 2)) ** 2)
-    padded = np.pad(values[:-1], (radius, radius + 1), mode="wrap") if loops else np.pad(values, radius)
+    if loops:
+        padded = np.pad(values[:-1], [(radius, radius + 1), *[(0, 0)] * (values.ndim - 1)], mode="wrap")
+    else:
+        beyond = np.zeros((radius, *values.shape[1:]))
+        padded = np.concatenate([beyond, values, beyond])
     counts = np.pad(np.ones(len(values)), radius, constant_values=float(loops))
     windows = np.lib.stride_tricks.sliding_window_view
-    return np.asarray((windows(padded, len(gaussian)) @ gaussian) / (windows(counts, len(gaussian)) @ gaussian))
+    share = (windows(counts, len(gaussian)) @ gaussian).reshape(-1, *[1] * (values.ndim - 1))
+    return np.asarray((windows(padded, len(gaussian), axis=0) @ gaussian) / share)

@@ -7,6 +7,7 @@ and holds planted toes with two-bone inverse kinematics. All positions are in me
 
 from __future__ import annotations
 
+from functools import lru_cache
 from typing import Final
 
 import numpy as np
@@ -171,6 +172,12 @@ def find_contacts(toe: Floats, fps: float) -> list[tuple[int, int]]:
     return [(start, end) for start, end in _true_spans(planted) if end - start >= MIN_CONTACT_SECONDS * fps]
 
 
+def median_place(points: Floats) -> Floats:
+    """Compute the median of points (n, 3), axis by axis; numpy.median takes five times as long for so few."""
+    ordered = np.sort(points, axis=0)
+    return np.asarray((ordered[(len(points) - 1) // 2] + ordered[len(points) // 2]) / 2)
+
+
 def two_bone_ik(hip: Floats, knee: Floats, ankle: Floats, goal: Floats) -> tuple[Floats, Floats]:
     """Solve two-bone inverse kinematics by the law of cosines, keeping the plane in which the leg bends.
 
@@ -204,7 +211,7 @@ def _toe_corrections(toe: Floats, fps: float, aim: Floats | None) -> Floats:
     contacts = find_contacts(toe, fps)
     correction = np.zeros_like(toe)
     for start, end in contacts:
-        place = np.median(toe[start:end], axis=0)
+        place = median_place(toe[start:end])
         if aim is not None and (wanted := np.isfinite(aim[start:end, [0, 2]]).all(axis=1)).any():
             place = np.nan_to_num(aim[start:end][wanted].mean(axis=0))
         to_place = (place - toe[start:end]) * HORIZONTAL
@@ -237,13 +244,22 @@ def ease_corrections(toe: Floats, correction: Floats, contacts: list[tuple[int, 
     for start, end in _true_spans(free):
         # third derivatives couple each frame with three neighbours on either side
         first, last = max(0, start - 3), min(len(toe), end + 3)
-        third = np.diff(np.eye(last - first), n=3, axis=0) * fps**3
-        unknown = third[:, start - first : end - first]
+        third, unknown, normal = _least_jerk(last - first, start - first, end - first, fps)
         jerk = third @ (toe[first:last] * HORIZONTAL + correction[first:last])
         # normal equations: (U^T U + 1 / METRES_PER_JERK^2) s = -U^T jerk
-        normal = unknown.T @ unknown + np.eye(end - start) / METRES_PER_JERK**2
         correction[start:end] = -np.linalg.solve(normal, unknown.T @ jerk)
     return correction
+
+
+@lru_cache(maxsize=32)
+def _least_jerk(frames: int, start: int, end: int, fps: float) -> tuple[Floats, Floats, Floats]:
+    """Build the third derivative D^3 of `frames` frames, its columns U of the free ones, and the normal matrix."""
+    third = np.diff(np.eye(frames), n=3, axis=0) * fps**3
+    unknown = third[:, start:end]
+    normal = unknown.T @ unknown + np.eye(end - start) / METRES_PER_JERK**2
+    for array in (third, unknown, normal):
+        array.flags.writeable = False
+    return third, unknown, normal
 
 
 def _true_spans(mask: NDArray[np.bool_]) -> list[tuple[int, int]]:

@@ -28,8 +28,15 @@ from kinegraph.errors import InvalidInputError
 from kinegraph.motion.body_shape import BodyShape, fit_shape, parts_of_nodes
 from kinegraph.motion.clearance import Segment, clear_arms, push_of_thigh, push_of_trunk
 from kinegraph.motion.humanoid import SIDES, Humanoid
-from kinegraph.motion.kinematics import SkeletonMotion
-from kinegraph.motion.postprocess import MAX_CORRECTION, MAX_EXTENSION, ease_corrections, find_contacts, two_bone_ik
+from kinegraph.motion.kinematics import BY_DEPTH, SkeletonMotion
+from kinegraph.motion.postprocess import (
+    MAX_CORRECTION,
+    MAX_EXTENSION,
+    ease_corrections,
+    find_contacts,
+    median_place,
+    two_bone_ik,
+)
 from kinegraph.motion.quaternions import (
     IDENTITY,
     about_axis,
@@ -205,71 +212,95 @@ def _world_motion(motion: SkeletonMotion) -> tuple[Floats, Floats]:
     turned = np.ascontiguousarray(np.moveaxis(motion.rotations, 1, 0))
     joints = np.zeros((len(motion.root), JOINTS, 3))
     joints[:, PELVIS] = motion.root
-    for joint in range(1, JOINTS):
-        parent = PARENTS[joint]
-        joints[:, joint] = joints[:, parent] + rotate(turned[parent], motion.rest_offsets[joint])
-        turned[joint] = multiply(turned[parent], turned[joint])
+    for level in BY_DEPTH:
+        above = turned[[PARENTS[joint] for joint in level]]
+        step = rotate(above, motion.rest_offsets[level][:, None])
+        joints[:, level] = joints[:, [PARENTS[joint] for joint in level]] + step.swapaxes(0, 1)
+        turned[level] = multiply(above, turned[level])
     return turned, joints
 
 
 def _changes(body: _Body, turned: Floats, offsets: Floats) -> dict[int, Floats]:
     """Compute the change W A of every node that follows a joint: node -> (frames, 4), parents first."""
-    names = {node: name for name, node in body.bones.items() if not name.endswith(("_wrist", "_foot"))}
     spine = _spine(body, turned, offsets)
-    aligned: dict[int, Floats] = {}
-    changes: dict[int, Floats] = {}
-    for node in body.rig.order:
-        if node not in names and node not in spine:
-            continue
-        above = next((a for a in body.rig.ancestors(body.rig.parents[node]) if a in aligned), None)
-        start = np.array(IDENTITY) if above is None else aligned[above]
+    aligned = _aligned(body, spine, offsets)
+    joints = {node: JOINT_INDEX[name.replace("head", "neck")] for name, node in body.bones.items()}
+    turns = np.stack([spine[node].turn if node in spine else turned[joints[node]] for node in aligned])
+    changes = multiply(turns, np.stack(list(aligned.values()))[:, None])
+    return dict(zip(aligned, changes, strict=True))
+
+
+def _aligned(body: _Body, spine: Mapping[int, _Vertebra], offsets: Floats) -> dict[int, Floats]:
+    """Compute the alignment A of every node that follows a joint: node -> (4,), parents first.
+
+    Bones as many steps from the pelvis as one another are turned together, the shortest way.
+    """
+    bones = {node: (vertebra.bone, vertebra.direction) for node, vertebra in spine.items()}
+    fixed: dict[int, Floats] = {}
+    for name, node in body.bones.items():
         if node in spine:
-            end, direction, turn = spine[node]
-            aligned[node] = _align(start, end - body.points[node], direction)
-            changes[node] = multiply(turn, aligned[node])
             continue
-        name = names[node]
-        joint = JOINT_INDEX[name]
-        if name.endswith("_ankle"):
-            aligned[node] = _align_foot(body, name, offsets)
-        elif name in NEXT and NEXT[name] in body.bones:
-            bone = body.points[body.bones[NEXT[name]]] - body.points[node]
-            aligned[node] = _align(start, bone, offsets[JOINT_INDEX[NEXT[name]]])
+        if name in NEXT and NEXT[name] in body.bones:
+            end = body.points[body.bones[NEXT[name]]]
+            bones[node] = end - body.points[node], offsets[JOINT_INDEX[NEXT[name]]]
         elif name in ("neck", "head"):
-            aligned[node] = shortest_rotation(UPRIGHT_NECK, offsets[JOINT_INDEX["head"]])
-            joint = JOINT_INDEX["neck"]
-        else:
-            aligned[node] = start
-        changes[node] = multiply(turned[joint], aligned[node])
-    return changes
+            fixed[node] = shortest_rotation(UPRIGHT_NECK, offsets[JOINT_INDEX["head"]])
+    fixed |= _align_feet(body, offsets)
+    names = {node for name, node in body.bones.items() if not name.endswith(("_wrist", "_foot"))}
+    above: dict[int, int] = {}
+    steps: dict[int, int] = {}
+    for node in body.rig.order:
+        if node in names or node in spine:
+            above[node] = next((a for a in body.rig.ancestors(body.rig.parents[node]) if a in steps), -1)
+            steps[node] = steps.get(above[node], -1) + 1
+    aligned = {-1: np.array(IDENTITY)}
+    for step in range(max(steps.values()) + 1):
+        level = [node for node in steps if steps[node] == step]
+        aligned |= {node: fixed.get(node, aligned[above[node]]) for node in level}
+        if turning := [node for node in level if node in bones]:
+            start = np.stack([aligned[above[node]] for node in turning])
+            resting, ours = (np.stack(ends) for ends in zip(*(bones[node] for node in turning), strict=True))
+            turned = multiply(shortest_rotation(rotate(start, resting), ours), start)
+            aligned |= dict(zip(turning, turned, strict=True))
+    return {node: aligned[node] for node in steps}
 
 
-def _align(start: Floats, bone: Floats, ours: Floats) -> Floats:
-    """Turn a resting bone that `start` has turned already on to the direction of ours, the shortest way."""
-    return multiply(shortest_rotation(rotate(start, bone), ours), start)
+def _align_feet(body: _Body, offsets: Floats) -> dict[int, Floats]:
+    """Align feet by their headings only: a sole that rests flat is flat where ours is, however high the ankle."""
+    ankles = [body.bones[f"{side}_ankle"] for side in SIDES]
+    toes = [body.bones.get(f"{side}_foot", -1) for side in SIDES]
+    ahead = [
+        (0.0, 0.0, 1.0) if toe < 0 else (body.points[toe] - body.points[ankle]) * HORIZONTAL
+        for ankle, toe in zip(ankles, toes, strict=True)
+    ]
+    rest = offsets[[JOINT_INDEX[f"{side}_foot"] for side in SIDES]]
+    flat, heading = shortest_rotation(
+        np.stack([np.broadcast_to(FLAT_FOOT, (2, 3)), np.array(ahead)]), np.stack([rest, rest * HORIZONTAL])
+    )
+    return dict(zip(ankles, multiply(flat, heading), strict=True))
 
 
-def _align_foot(body: _Body, ankle: str, offsets: Floats) -> Floats:
-    """Align a foot by its heading only: a sole that rests flat is flat where ours is, however high the ankle."""
-    toe = ankle.replace("ankle", "foot")
-    ahead = np.array([0.0, 0.0, 1.0])
-    if toe in body.bones:
-        ahead = (body.points[body.bones[toe]] - body.points[body.bones[ankle]]) * HORIZONTAL
-    rest = offsets[JOINT_INDEX[toe]]
-    return multiply(shortest_rotation(FLAT_FOOT, rest), shortest_rotation(ahead, rest * HORIZONTAL))
+@dataclass(frozen=True, eq=False)
+class _Vertebra:
+    """What a node of the spine follows."""
+
+    bone: Floats
+    """(3,) to the next node, at rest."""
+    direction: Floats
+    """(3,) of ours at rest."""
+    turn: Floats
+    """(frames, 4) rotation of ours."""
 
 
-def _spine(body: _Body, turned: Floats, offsets: Floats) -> dict[int, tuple[Floats, Floats, Floats]]:
+def _spine(body: _Body, turned: Floats, offsets: Floats) -> dict[int, _Vertebra]:
     """Spread our three joints of the spine over the character's.
 
-    Returns:
-        Node -> end of its bone (3,), direction of ours (3,) at rest, rotation of ours (frames, 4). The last node, the
-        chest, follows ours; the others lie at equal steps from spine1 on.
+    The last node, the chest, follows ours; the others lie at equal steps from spine1 on.
     """
     bones = [offsets[JOINT_INDEX[name]] for name in ("spine2", "spine3", "neck")]
     count = len(body.spine)
     ends = [*body.spine[1:], body.bones["neck" if "neck" in body.bones else "head"]]
-    spread: dict[int, tuple[Floats, Floats, Floats]] = {}
+    spread: dict[int, _Vertebra] = {}
     for index, node in enumerate(body.spine):
         place = 2.0 * index / (count - 1) if count > 1 else 2.0
         low = min(int(place), 1)
@@ -277,7 +308,7 @@ def _spine(body: _Body, turned: Floats, offsets: Floats) -> dict[int, tuple[Floa
         direction = (1 - share) * normalised(bones[low]) + share * normalised(bones[low + 1])
         lower, upper = turned[SPINE[low]], turned[SPINE[low + 1]]
         turn = lower if share == 0 else upper if share == 1 else slerp(lower, upper, np.full(len(lower), share))
-        spread[node] = body.points[ends[index]], direction, turn
+        spread[node] = _Vertebra(body.points[ends[index]] - body.points[node], direction, turn)
     return spread
 
 
@@ -287,89 +318,101 @@ def _place(body: _Body, changes: dict[int, Floats], ours: Floats, fps: float) ->
     Hips go with ours; then they move by what the feet near the floor miss, which keeps the legs' directions. What one
     leg still misses is left to two-bone inverse kinematics. Changes of the legs are replaced.
     """
-    bones, points = body.bones, body.points
-    pelvis = bones["pelvis"]
-    hips = [bones[f"{side}_hip"] for side in SIDES]
-    middle = points[hips].mean(axis=0)
+    legs, pelvis = _Legs(body, changes, ours, fps), body.bones["pelvis"]
     root = ours[:, [JOINT_INDEX[f"{side}_hip"] for side in SIDES]].mean(axis=1)
-    feet = [_Foot(body, changes, side, middle, ours, fps) for side in SIDES]
-    weights = np.exp(-np.stack([foot.height for foot in feet]) / NEAR_FLOOR)[..., None]
-    missed = np.stack([foot.correction(root, fps) for foot in feet])
+    weights = np.exp(-legs.height / NEAR_FLOOR)[..., None]
+    missed = legs.correction(root, legs.shift(root, fps))
     root = root + (weights * missed).sum(axis=0) / weights.sum(axis=0)
-    root[:, 1] -= np.max([foot.out_of_reach(root, fps) for foot in feet], axis=0)
-    for foot in feet:
-        foot.plant(root, changes, fps)
-    return np.asarray(root + rotate(changes[pelvis], points[pelvis] - middle))
+    shift = legs.shift(root, fps)  # whatever the height of the hips
+    root[:, 1] -= legs.out_of_reach(root, shift).max(axis=0)
+    changes |= legs.planted(root, shift, changes)
+    return np.asarray(root + rotate(changes[pelvis], body.points[pelvis] - legs.middle))
 
 
-class _Foot:
-    """A leg of the character, from the middle of the hips, with directions like ours; and where its toe should be."""
+class _Legs:
+    """The legs of the character, from the middle of the hips, with directions like ours; and where toes should be.
 
-    def __init__(
-        self, body: _Body, changes: Mapping[int, Floats], side: str, middle: Floats, ours: Floats, fps: float
-    ) -> None:
-        bones, points = body.bones, body.points
-        self.nodes = hip, knee, ankle = tuple(bones[f"{side}_{joint}"] for joint in ("hip", "knee", "ankle"))
-        toe = self._toe_at_rest(body, side, ours)
-        self.hip = rotate(changes[bones["pelvis"]], points[hip] - middle)
-        self.knee = self.hip + rotate(changes[hip], points[knee] - points[hip])
-        self.ankle = self.knee + rotate(changes[knee], points[ankle] - points[knee])
-        self.toe = self.ankle + rotate(changes[ankle], toe - points[ankle])
-        self.our_toe = ours[:, JOINT_INDEX[f"{side}_foot"]]
-        self.height = np.maximum(self.our_toe[:, 1], 0.0)
+    Arrays are (2, frames, ...), left and right.
+    """
+
+    def __init__(self, body: _Body, changes: Mapping[int, Floats], ours: Floats, fps: float) -> None:
+        points = body.points
+        self.nodes = [[body.bones[f"{side}_{joint}"] for side in SIDES] for joint in ("hip", "knee", "ankle")]
+        hips, knees, ankles = (points[nodes] for nodes in self.nodes)
+        toes = np.stack([_toe_at_rest(body, side, ours) for side in SIDES])
+        self.middle = hips.mean(axis=0)
+        turns = np.stack([[changes[node] for node in nodes] for nodes in self.nodes])
+        thighs, shins, feet = rotate(turns, np.stack([knees - hips, ankles - knees, toes - ankles])[:, :, None])
+        self.hip = rotate(changes[body.bones["pelvis"]], (hips - self.middle)[:, None])
+        self.knee = self.hip + thighs
+        self.ankle = self.knee + shins
+        self.toe = self.ankle + feet
+        self.our_toe = ours[:, [JOINT_INDEX[f"{side}_foot"] for side in SIDES]].swapaxes(0, 1)
+        self.height = np.maximum(self.our_toe[..., 1], 0.0)
         # smoothstep from HIGH to LOW
         share = np.clip((HIGH - self.height) / (HIGH - LOW), 0.0, 1.0)
         self.lowness = share**2 * (3 - 2 * share)
-        self.goal_height = self.height + toe[1]
-        self.contacts = find_contacts(self.our_toe, fps)
+        self.goal_height = self.height + toes[:, None, 1]
+        self.contacts = [find_contacts(toe, fps) for toe in self.our_toe]
         # pelvises that are wider than ours move their feet further when they turn
         ours_apart = np.linalg.norm(ours[0, JOINT_INDEX["left_hip"]] - ours[0, JOINT_INDEX["right_hip"]])
-        self.most = MAX_CORRECTION * max(1.0, float(2 * np.linalg.norm(points[hip] - middle) / ours_apart))
+        apart = 2 * np.linalg.norm(hips - self.middle, axis=-1)
+        self.most = MAX_CORRECTION * np.maximum(1.0, apart / ours_apart)
 
-    @staticmethod
-    def _toe_at_rest(body: _Body, side: str, ours: Floats) -> Floats:
-        """Locate the toe; that of a character without is on the floor, as far ahead as ours."""
-        if f"{side}_foot" in body.bones:
-            return np.asarray(body.points[body.bones[f"{side}_foot"]])
-        foot = ours[0, JOINT_INDEX[f"{side}_foot"]] - ours[0, JOINT_INDEX[f"{side}_ankle"]]
-        ankle = body.points[body.bones[f"{side}_ankle"]]
-        return np.asarray(ankle * HORIZONTAL + (0.0, 0.0, FLAT_FOOT[2] * np.linalg.norm(foot)))
-
-    def correction(self, root: Floats, fps: float) -> Floats:
-        """Compute what brings the toe to the height of ours, and makes it move as ours does while that is planted.
+    def shift(self, root: Floats, fps: float) -> Floats:
+        """Compute what makes toes move as ours do while these are planted.
 
         Args:
             root: (frames, 3) the middle of the hips.
             fps: frames per second.
 
         Returns:
-            (frames, 3) metres.
+            (2, frames, 3) metres over the floor.
         """
-        toe = root + self.toe
-        horizontal = np.zeros_like(toe)
-        for start, end in self.contacts:
-            apart = (toe - self.our_toe)[start:end] * HORIZONTAL
-            back = np.median(apart, axis=0) - apart
-            distance = np.maximum(np.linalg.norm(back, axis=-1, keepdims=True), 1e-9)
-            horizontal[start:end] = back * np.minimum(1.0, self.most / distance)
-        correction = ease_corrections(toe, horizontal, self.contacts, fps)
-        correction[:, 1] = self.lowness * (self.goal_height - toe[:, 1])
+        toes = root + self.toe
+        apart = (toes - self.our_toe) * HORIZONTAL
+        shift = np.zeros_like(toes)
+        for foot, contacts in enumerate(self.contacts):
+            for start, end in contacts:
+                back = median_place(apart[foot, start:end]) - apart[foot, start:end]
+                distance = np.maximum(np.sqrt((back * back).sum(axis=-1, keepdims=True)), 1e-9)
+                shift[foot, start:end] = back * np.minimum(1.0, self.most[foot] / distance)
+            shift[foot] = ease_corrections(toes[foot], shift[foot], contacts, fps)
+        return np.asarray(shift)
+
+    def correction(self, root: Floats, shift: Floats) -> Floats:
+        """Compute what shifts toes, and brings them to the height of ours: (2, frames, 3) metres."""
+        correction = shift.copy()
+        correction[..., 1] = self.lowness * (self.goal_height - root[:, 1] - self.toe[..., 1])
         return correction
 
-    def out_of_reach(self, root: Floats, fps: float) -> Floats:
-        """Compute the metres (frames,) by which the corrected toe is too far away for the leg."""
-        leg = np.linalg.norm(self.knee - self.hip, axis=-1) + np.linalg.norm(self.ankle - self.knee, axis=-1)
-        now = np.linalg.norm(self.ankle - self.hip, axis=-1)
-        wanted = np.linalg.norm(self.ankle + self.correction(root, fps) - self.hip, axis=-1)
-        return np.asarray(self.lowness * np.maximum(wanted - np.maximum(now, MAX_EXTENSION * leg), 0.0))
+    def out_of_reach(self, root: Floats, shift: Floats) -> Floats:
+        """Compute the metres (2, frames) by which a corrected toe is too far away for the leg."""
+        wanted = self.ankle + self.correction(root, shift) - self.hip
+        bones = np.stack([self.knee - self.hip, self.ankle - self.knee, self.ankle - self.hip, wanted])
+        upper, lower, now, far = np.linalg.norm(bones, axis=-1)
+        return np.asarray(self.lowness * np.maximum(far - np.maximum(now, MAX_EXTENSION * (upper + lower)), 0.0))
 
-    def plant(self, root: Floats, changes: dict[int, Floats], fps: float) -> None:
-        """Bend the leg so that the toe is corrected; the foot keeps its direction."""
-        hip, knee, ankle = root + self.hip, root + self.knee, root + self.ankle
-        new_knee, new_ankle = two_bone_ik(hip, knee, ankle, ankle + self.correction(root, fps))
-        upper, lower, _ = self.nodes
-        changes[upper] = multiply(shortest_rotation(knee - hip, new_knee - hip), changes[upper])
-        changes[lower] = multiply(shortest_rotation(ankle - knee, new_ankle - new_knee), changes[lower])
+    def planted(self, root: Floats, shift: Floats, changes: Mapping[int, Floats]) -> dict[int, Floats]:
+        """Bend the legs so that toes are corrected; feet keep their directions: node -> its change."""
+        goals = root + self.ankle + self.correction(root, shift)
+        hip, knee, ankle, goal = (
+            each.reshape(-1, 3) for each in (root + self.hip, root + self.knee, root + self.ankle, goals)
+        )
+        new_knee, new_ankle = two_bone_ik(hip, knee, ankle, goal)
+        before, after = np.stack([knee - hip, ankle - knee]), np.stack([new_knee - hip, new_ankle - new_knee])
+        nodes = [*self.nodes[0], *self.nodes[1]]
+        turns = shortest_rotation(before, after).reshape(4, -1, 4)
+        return dict(zip(nodes, multiply(turns, np.stack([changes[node] for node in nodes])), strict=True))
+
+
+def _toe_at_rest(body: _Body, side: str, ours: Floats) -> Floats:
+    """Locate the toe; that of a character without is on the floor, as far ahead as ours."""
+    if f"{side}_foot" in body.bones:
+        return np.asarray(body.points[body.bones[f"{side}_foot"]])
+    foot = ours[0, JOINT_INDEX[f"{side}_foot"]] - ours[0, JOINT_INDEX[f"{side}_ankle"]]
+    ankle = body.points[body.bones[f"{side}_ankle"]]
+    return np.asarray(ankle * HORIZONTAL + (0.0, 0.0, FLAT_FOOT[2] * np.linalg.norm(foot)))
 
 
 def _keep_arms_out(body: _Body, changes: dict[int, Floats], shape: BodyShape) -> None:
@@ -418,16 +461,15 @@ class _Segments(dict[int, Segment]):
 def _tracks(body: _Body, changes: Mapping[int, Floats], pelvis: Floats, ours: Floats, root: int | None) -> RigMotion:
     """Turn changes in our frame into local rotations and positions of nodes."""
     rig, first = body.rig, body.bones["pelvis"]
-    steps: dict[int, Floats] = {}
-    for node, change in changes.items():
-        above = next((a for a in rig.ancestors(rig.parents[node]) if a in changes), None)
-        steps[node] = multiply(body.face, change) if above is None else multiply(conjugate(changes[above]), change)
-    # world changes are face C stand; `face` drops out between two bones
-    stand = np.stack([np.array(IDENTITY) if node == first else conjugate(body.stand) for node in steps])
-    turned = multiply(multiply(stand[:, None], np.stack(list(steps.values()))), body.stand)
-    steps = dict(zip(steps, turned, strict=True))
+    place = {node: index for index, node in enumerate(changes)}
+    above = [next((place[a] for a in rig.ancestors(rig.parents[node]) if a in place), -1) for node in changes]
+    every = np.stack([*changes.values(), np.broadcast_to(conjugate(body.face), changes[first].shape)])
+    steps = multiply(conjugate(every[above]), every[:-1])
     at = body.origin + rotate(body.face, pelvis * body.scale)
-    translations: dict[int, Floats] = {}
+    nodes, translations = list(changes), dict[int, Floats]()
+    # world changes are face C stand; `face` drops out between two bones
+    stands = np.stack([np.array(IDENTITY) if node == first else body.stand for node in nodes])
+    stand = np.broadcast_to(body.stand, stands.shape)
     if root is not None:
         # the root carries rigidly what is below it: x -> turn (x - origin) + origin + travel
         heading = about_axis(1, facing_angle(ours).astype(np.float64))
@@ -435,16 +477,17 @@ def _tracks(body: _Body, changes: Mapping[int, Floats], pelvis: Floats, ours: Fl
         travel = rotate(body.face, ours[:, PELVIS] * HORIZONTAL * body.scale)
         start = rig.positions[root] - body.origin
         translations[root] = _into(rig, rig.parents[root], body.origin + travel + rotate(turn, start))
-        steps[root] = turn
         at = body.origin + rotate(conjugate(turn), at - body.origin - travel)
-        steps[first] = multiply(conjugate(turn), steps[first])
+        steps[place[first]] = multiply(conjugate(turn), steps[place[first]])
+        nodes, steps = [*nodes, root], np.concatenate([steps, turn[None]])
+        stands, stand = (np.concatenate([each, [IDENTITY]]) for each in (stands, stand))
     translations[first] = _into(rig, rig.parents[first], at)
-    above_all = np.stack([rig.orientation(rig.parents[node]) for node in steps])[:, None]
-    rest = rig.rotations[list(steps)][:, None]
-    step = np.stack(list(steps.values()))
-    local = normalised(multiply(multiply(multiply(conjugate(above_all), step), above_all), rest))
+    parent = rig.orientations[[rig.parents[node] for node in nodes]]
+    before = multiply(conjugate(parent), conjugate(stands))
+    after = multiply(multiply(stand, parent), rig.rotations[nodes])
+    local = normalised(multiply(multiply(before[:, None], steps), after[:, None]))
     local = continuous_signs(np.moveaxis(local, 0, 1))
-    return RigMotion({node: local[:, index] for index, node in enumerate(steps)}, translations, body.scale)
+    return RigMotion({node: local[:, index] for index, node in enumerate(nodes)}, translations, body.scale)
 
 
 def _into(rig: Rig, parent: int, points: Floats) -> Floats:

@@ -80,16 +80,15 @@ class Rig:
         """(nodes, 3) in the world, at rest."""
         return self.world[:, :3, 3]
 
-    def orientation(self, node: int) -> Floats:
-        """Rotation (4,) of a node in the world, at rest; the identity for -1.
+    @cached_property
+    def orientations(self) -> Floats:
+        """(nodes + 1, 4) rotations of the nodes in the world, at rest; the last, that of -1, is the identity.
 
-        The polar factor of its matrix; a mirrored node's is turned round (-1 times a reflection is a rotation), which
-        leaves `conjugate(q) r q`, the only use, as it is.
+        The polar factors of their matrices; a mirrored node's is turned round (-1 times a reflection is a rotation),
+        which leaves `conjugate(q) r q`, the only use, as it is.
         """
-        if node < 0:
-            return np.array([1.0, 0.0, 0.0, 0.0])
-        u, _, vt = np.linalg.svd(self.world[node, :3, :3])
-        return from_matrix(u @ vt * np.sign(np.linalg.det(u @ vt)))
+        u, _, vt = np.linalg.svd(np.concatenate([self.world[:, :3, :3], np.eye(3)[None]]))
+        return from_matrix(u @ vt * np.sign(np.linalg.det(u @ vt))[:, None, None])
 
     def ancestors(self, node: int) -> Iterator[int]:
         """Yield the node, its parent, and so on up to a root."""
