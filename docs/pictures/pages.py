@@ -94,7 +94,7 @@ def main() -> None:
         take_picture(browser, link, "phone.jpg", (390, 844), "light", 2.0, lambda page: None)
         scene = {"texts": json.dumps(SCENE), "seconds": "3,3,3", "seed": 7, "constraints": json.dumps(WHERE)}
         take_picture(
-            browser, f"http://127.0.0.1:{port}/#{urlencode(scene)}", "timeline.jpg", (1280, 800), "dark", 6.4, open_code
+            browser, f"http://127.0.0.1:{port}/#{urlencode(scene)}", "timeline.jpg", (1280, 800), "dark", 4.5, open_code
         )
         turns = ("a person walks and turns to the left", "a person walks and turns to the right")
         clips = [pipe.generate(text, seconds=4, seed=6) for text in turns]

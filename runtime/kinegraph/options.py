@@ -19,7 +19,7 @@ from kinegraph.bundle.contract import FRAMES, LEVELS
 from kinegraph.bundle.manifest import Manifest, ScheduleSpec
 from kinegraph.diffusion.sampling import OnStep, StepInfo, is_stop
 from kinegraph.errors import InvalidInputError, TimedOut
-from kinegraph.limits import MAX_TAKES
+from kinegraph.limits import MAX_PARTS, MAX_TAKES
 from kinegraph.validation import check_flag, finite_number, short_repr, whole_number
 
 LATENT: Final = "latent"
@@ -29,6 +29,8 @@ MAX_GUIDANCE: Final = 20.0
 SEQUENCE_METHODS: Final = ("blend", "continue", "energy")
 """How the parts of a sequence follow one another; see `MotionPipeline.sequence`."""
 MAX_SEED: Final = 2**63
+MAX_SEED_OFFSET: Final = 1_000_000
+"""Of a sentence against the whole; parts of one sentence are further apart."""
 _PART_SEED_STRIDE: Final = 1_000_003
 """Distance of the seeds of a sentence's parts, so that they are none of its next takes."""
 
@@ -218,6 +220,29 @@ def batch_seeds(first: int, texts: int, takes: object, most: int = MAX_TAKES) ->
     if texts * number > most:
         raise InvalidInputError(f"{texts} sentences of {number} takes; {most} clips at most in one call")
     return [validate_seed(first + index) for index in range(texts * number)]
+
+
+def sentence_seeds(first: int, texts: int, offsets: object) -> list[int]:
+    """List the seeds of the sentences of a sequence or timeline.
+
+    Args:
+        first: seed of the whole.
+        texts: number of sentences.
+        offsets: what each adds to it; None counts up from 0.
+
+    Raises:
+        InvalidInputError: not a whole number for each sentence, up to `MAX_SEED_OFFSET`, or seeds past the largest.
+    """
+    if offsets is None:
+        return batch_seeds(first, texts, takes=1, most=MAX_PARTS)
+    numbers = [whole_number(offset) for offset in offsets] if isinstance(offsets, list | tuple) else []
+    allowed = [number for number in numbers if number is not None and 0 <= number <= MAX_SEED_OFFSET]
+    if len(allowed) != texts or len(numbers) != texts:
+        raise InvalidInputError(
+            f"seed_offsets are {texts} whole numbers from 0 to {MAX_SEED_OFFSET}, one for each sentence, not "
+            f"{short_repr(offsets)}"
+        )
+    return [validate_seed(first + number) for number in allowed]
 
 
 def part_seed(seed: int, index: int) -> int:

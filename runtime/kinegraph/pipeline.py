@@ -50,6 +50,7 @@ from kinegraph.options import (
     batch_seeds,
     part_seed,
     resolve_options,
+    sentence_seeds,
     sequence_caption,
     validate_lengths,
     validate_sequence_method,
@@ -438,6 +439,7 @@ class MotionPipeline:
         method: str = "blend",
         seconds: float | Sequence[float] | None = None,
         seed: int | None = None,
+        seed_offsets: Sequence[int] | None = None,
         steps: Steps | None = None,
         guidance: Guidance | None = None,
         foot_fix: bool = True,
@@ -449,7 +451,7 @@ class MotionPipeline:
         """Make one clip of several sentences, one after another.
 
         Args:
-            texts: 1 to `limits.MAX_PARTS` sentences or graphs; sentence k is generated with seed + k.
+            texts: 1 to `limits.MAX_PARTS` sentences or graphs; sentence k is generated with seed + seed_offsets[k].
             method: "blend" makes parts by themselves, longer by what blends at their ends need, and blends them where
                 poses are alike (`motion.blending`); a part keeps its length to 0.5 s. "continue" begins each part in
                 the last pose of the one before, as `stream` does: nothing is blended, and a part has its length to the
@@ -458,6 +460,7 @@ class MotionPipeline:
                 neighbours share 0.8 s, and their scores add up there (EnergyMoGen, Eq. 11); it takes no memory.
             seconds: of each part: one length, one per sentence, or None for what each asks for.
             seed, steps, guidance, foot_fix, strict, timeout: as in `generate`.
+            seed_offsets: one for each sentence; None is 0, 1, 2 ... What keeps its own is not changed by others.
             on_step: as in `generate`; its `done` and `total` are those of all parts.
             memory: parts that were made before, and need not be made again.
 
@@ -487,7 +490,7 @@ class MotionPipeline:
         graphs = [self.as_graph(text) for text in deadline.each(texts)]
         unknown_of_each = self._unknown_of_each(graphs, strict)
         unknown = _once_each(unknown_of_each)
-        seeds = batch_seeds(options[0].seed, len(texts), takes=1, most=MAX_PARTS)
+        seeds = sentence_seeds(options[0].seed, len(texts), seed_offsets)
         sentences = [
             self._encode_sentence(graph, option, own_length=length is None, is_known=not words)
             for graph, option, length, words in deadline.each(
@@ -496,7 +499,7 @@ class MotionPipeline:
         ]
         notes = tuple(dict.fromkeys(note for sentence in sentences for note in sentence.notes))
         if len(sentences) == 1:
-            return replace(pipe._make_clip(sentences[0], seeds[0], on_step), unknown=unknown)
+            return replace(pipe._make_clip(sentences[0], seeds[0], on_step), unknown=unknown, seed=options[0].seed)
         parts = [
             (part, part_seed(sentence_seed, index))
             for sentence, sentence_seed in zip(sentences, seeds, strict=True)
@@ -509,7 +512,8 @@ class MotionPipeline:
         else:
             make_parts = self._continue_parts if method == "continue" else self._make_parts
             clip = make_parts(parts, on_step, memory, of_sentence)
-        return replace(clip, text=text, unknown=unknown, notes=tuple(dict.fromkeys((*notes, *clip.notes))))
+        notes = tuple(dict.fromkeys((*notes, *clip.notes)))
+        return replace(clip, text=text, unknown=unknown, notes=notes, seed=options[0].seed)
 
     @_with_typed_memory_errors
     def compose(

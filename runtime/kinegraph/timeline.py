@@ -39,9 +39,9 @@ from kinegraph.motion.skeleton import start_at_origin
 from kinegraph.options import (
     Guidance,
     Steps,
-    batch_seeds,
     frame_count,
     resolve_options,
+    sentence_seeds,
     sequence_caption,
     validate_lengths,
 )
@@ -62,6 +62,7 @@ def generate_timeline(
     constraint_weight: float = 1.0,
     layers: Sequence[Layer] = (),
     seed: int | None = None,
+    seed_offsets: Sequence[int] | None = None,
     steps: Steps | None = None,
     guidance: Guidance | None = None,
     foot_fix: bool = True,
@@ -72,11 +73,12 @@ def generate_timeline(
 
     Args:
         pipeline: a bundle that takes constraints.
-        texts: 1 to `limits.MAX_PARTS` sentences or graphs; sentence k is generated with seed + k.
+        texts: 1 to `limits.MAX_PARTS` sentences or graphs; sentence k is generated with seed + seed_offsets[k].
         seconds: of each part, or one length for all.
         constraints: times from the beginning of the whole clip, places where they are in it.
         layers: concepts, with which every sentence that their span touches is composed (`MotionPipeline.compose`).
         constraint_weight, seed, steps, guidance, foot_fix, on_step: as in `MotionPipeline.generate`.
+        seed_offsets: one for each sentence; None is 0, 1, 2 ... What keeps its own is not changed by others.
         memory: parts that were made before, and need not be made again.
 
     Raises:
@@ -90,7 +92,7 @@ def generate_timeline(
     if any(isinstance(constraint, Loop) for constraint in constraints):
         raise InvalidInputError("a loop is for one sentence; for a timeline take `Clip.looped`")
     first = resolve_options(manifest, seconds=lengths[0], seed=seed).seed
-    seeds = batch_seeds(first, len(texts), takes=1, most=MAX_PARTS)
+    seeds = sentence_seeds(first, len(texts), seed_offsets)
     frames = [frame_count(manifest, length) for length in lengths]
     ends = [float(end) for end in np.cumsum(frames) / fps]
     _check_times(constraints, ends[-1])

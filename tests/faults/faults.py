@@ -380,6 +380,14 @@ FAULTS: tuple[Fault, ...] = (
     ),
     Fault(
         9,
+        "sentences have the seeds of their places, whatever was asked for",
+        "options.py",
+        "    if offsets is None:\n",
+        "    if True:\n",
+        "runtime/test_part_memory.py -k only_what_changed",
+    ),
+    Fault(
+        9,
         "times behind the end of a timeline are forgotten",
         "timeline.py",
         "if latest > whole + 1e-6:",

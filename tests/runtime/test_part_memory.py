@@ -26,6 +26,10 @@ FEW: dict[str, Any] = {"seconds": [1, 1.5, 1, 1], "steps": 2, "seed": 4}
         ({"steps": 3}, (0, 1, 2, 3)),
         ({"guidance": 1.2}, (0, 1, 2, 3)),
         ({"foot_fix": False}, (0, 1, 2, 3)),
+        # the sentences behind one that came, went or moved keep their seeds with their offsets
+        ({"texts": [*TEXTS[:2], "a person kneels", *TEXTS[2:]], "seconds": 1, "seed_offsets": [0, 1, 4, 2, 3]}, (1, 2)),
+        ({"texts": [*TEXTS[:2], "a person kneels", *TEXTS[2:]], "seconds": 1}, (1, 2, 3, 4)),
+        ({"texts": TEXTS[1:], "seconds": FEW["seconds"][1:], "seed_offsets": [1, 2, 3]}, (0,)),  # no blend before it
         ({"texts": TEXTS[:3], "seconds": FEW["seconds"][:3]}, (2,)),  # the last part needs no time for a blend
     ],
 )

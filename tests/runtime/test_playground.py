@@ -163,7 +163,16 @@ def test_layers_are_those_of_a_timeline(server: PlaygroundClient, pipe: MotionPi
         refused = server.post("/api/clip", {**wish, "layers": layers})
         assert refused.status == 400 and reason in refused.json["error"], refused
     refused = server.post("/api/clip", {**REQUEST, "layers": [layer]})
-    assert refused.status == 400 and "layers are for a sequence" in refused.json["error"]
+    assert refused.status == 400 and "layers is for a sequence" in refused.json["error"]
+
+
+def test_sentences_have_the_seeds_that_go_with_them(server: PlaygroundClient, pipe: MotionPipeline) -> None:
+    wish = {"texts": ["a person walks", "a person turns"], "seconds": [1, 1], "seed": 7, "steps": 2}
+    response = server.post("/api/file", {"wish": {**wish, "seed_offsets": [2, 0]}, "suffix": ".npz"})
+    clip = pipe.sequence(wish["texts"], seconds=1, seed=7, steps=2, seed_offsets=[2, 0])
+    assert response.status == 200 and response.body == encode(clip, ".npz")
+    refused = server.post("/api/clip", {**REQUEST, "seed_offsets": [0]})
+    assert refused.status == 400 and "seed_offsets is for a sequence" in refused.json["error"]
 
 
 def test_a_draft_is_the_last_clip_of_these_words_bent(server: PlaygroundClient, pipe: MotionPipeline) -> None:

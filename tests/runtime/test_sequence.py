@@ -58,6 +58,24 @@ def test_a_wrong_sequence_is_refused_before_a_model_runs(
     monkeypatch.setattr(ConditionEncoder, "encode_text", never)
     with pytest.raises(InvalidInputError, match=message):
         toy.sequence(texts, seconds=seconds, seed=2**63 - 1 if message.startswith("seed") else 1)
+    for offsets in ([0], [0, 1, 2], [0, -1], [0, 10**6 + 1], [0, 0.5], "01", 3):
+        with pytest.raises(InvalidInputError, match="seed_offsets are 2 whole numbers from 0 to"):
+            toy.sequence(["a person walks", "a person bows"], seconds=2, seed_offsets=offsets)  # type: ignore[arg-type]
+
+
+@pytest.mark.usefixtures("toy_by_default")
+def test_the_seed_of_a_sequence_is_that_of_the_whole_whatever_its_offsets(toy: MotionPipeline, tmp_path: Path) -> None:
+    pytest.importorskip("spacy")
+    texts = ["a person walks forward", "a person bows"]
+    clip = toy.sequence(texts, seconds=2, seed_offsets=[3, 0], **FEW)
+    assert clip.seed == 4
+    single = toy.sequence(texts[:1], seconds=2, seed_offsets=[3], **FEW)
+    np.testing.assert_array_equal(single.joints, toy.generate(texts[0], seconds=2, **{**FEW, "seed": 7}).joints)
+    assert single.seed == 4
+    path = tmp_path / "clip.npz"
+    options = ["--seconds", "2", "--steps", "3,3,4", "--seed", "4", "--seed-offsets", "3,0", "-o", str(path)]
+    assert cli.main(["sequence", *texts, *options]) == 0
+    np.testing.assert_array_equal(np.load(path)["joints"], clip.joints)
 
 
 @pytest.mark.usefixtures("toy_by_default")

@@ -55,9 +55,9 @@ export function createCharacters(box, dropping, most, on) {
     get current() {
       return current;
     },
-    /** The character of the last visit. */
-    async restore() {
-      current = await keptFile.load();
+    /** The character of the last visit, as `keptFile` has it; null is none. */
+    restore(file) {
+      current = file;
       show();
     },
   };

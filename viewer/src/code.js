@@ -57,6 +57,7 @@ export function python(wish, output, file, character = null) {
   } else if (wish.texts) {
     const texts = `[${wish.texts.map(said).join(", ")}]`;
     if (wish.layers) options.push("layers=layers");
+    if (wish.seed_offsets) options.push(`seed_offsets=${literal(wish.seed_offsets)}`);
     made = isTimeline(wish) ? called("generate_timeline", ["pipe", texts, ...options]) : called("pipe.sequence", [texts, ...options]);
   }
   else made = called("pipe.generate", [said(wish.graph ?? wish.text), ...options]);
@@ -109,6 +110,7 @@ export function command(wish, output, file, character = null) {
     if (wish.texts.some((text) => typeof text !== "string")) return "# a sequence with edited graphs: use Python\n";
     if (isTimeline(wish)) return "# a timeline with constraints or concepts: use Python\n";
     words.push("sequence", ...wish.texts);
+    if (wish.seed_offsets) words.push("--seed-offsets", wish.seed_offsets.join(","));
   } else if (wish.graph) {
     words.push("generate", "--graph", "-");
     input = ` <<'END'\n${JSON.stringify(wish.graph)}\nEND`;

@@ -55,7 +55,8 @@ export function createForm(side, play, on) {
       if (composing()) {
         return { ...project, sampling, concepts: { concepts: concepts.get(), method: field.method.value, ...mixing.get(), ...timed } };
       }
-      const segment = { ...graph.wish(), ...timed };
+      const { offset } = project.segments[selected];
+      const segment = { ...graph.wish(), ...timed, ...(offset !== undefined && { offset }) };
       return { ...project, sampling, concepts: null, segments: project.segments.with(selected, segment) };
     },
     /** Show a segment of a project; `known` is its graph, where somebody has parsed it. */

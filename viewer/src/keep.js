@@ -32,6 +32,7 @@ export function createKeep(storages = [() => sessionStorage, () => localStorage]
           return text;
         }),
       ),
+    has: () => Boolean(each((storage) => storage.getItem(KEY))),
     clear() {
       each((storage) => {
         storage.removeItem(KEY);

@@ -6,11 +6,12 @@ import { layerAt, layered, reach, said, SHORTEST_LAYER } from "./layering.js";
 const NUDGE = 0.1; // seconds per key
 const DRAG = 4; // pixels before a press is a drag
 const LIMIT = 2; // of a weight
+const EXACT = 0.05; // seconds by which a concept may count for more than its span, without a word about it
 const NEW = "a person waves the right hand";
 
 /**
  * @param box the timeline, with `.layers`, `.inspector.layer` and `.add-layer`
- * @param on {change(layers), selected() one of them, now() seconds}
+ * @param on {change(layers), selected() one of them, now() seconds, cut(layer) sentences where it begins and ends}
  */
 export function createLayers(box, on) {
   const [tracks, inspector, add] = [".layers", ".inspector.layer", ".add-layer"].map((name) => box.querySelector(name));
@@ -27,9 +28,11 @@ export function createLayers(box, on) {
     (tracks.querySelector("button") ?? add).focus();
   }
 
+  const isWider = (layer, from, to) => from < layer.begin - EXACT || to > layer.end + EXACT;
+
   function bar(layer, at) {
     const [from, to] = reach(layer, edges);
-    const counts = from < layer.begin - 0.05 || to > layer.end + 0.05 ? `; counts from ${from.toFixed(1)} to ${to.toFixed(1)} s` : "";
+    const counts = isWider(layer, from, to) ? `; counts from ${from.toFixed(1)} to ${to.toFixed(1)} s` : "";
     const when = `from ${layer.begin.toFixed(1)} to ${layer.end.toFixed(1)} s`;
     const button = element(
       "button",
@@ -89,11 +92,17 @@ export function createLayers(box, on) {
         if (attributes.type ? Number.isFinite(value) : value) set(at, write(layers[at], value));
       } }));
     const seconds = (name, key) => field(name, { type: "number", step: NUDGE, min: 0, value: layer[key] }, (now, value) => layerAt(now, key, value - now[key]));
+    const [from, to] = reach(layer, edges);
+    const wider = isWider(layer, from, to) && [
+      element("p", {}, `It counts from ${from.toFixed(1)} to ${to.toFixed(1)} s: a sentence is made as a whole.`),
+      element("button", { type: "button", onclick: () => on.cut(layer) }, "Cut the sentences to its span"),
+    ];
     return inspector.replaceChildren(
       field("Words", { value: layer.text, maxlength: 512, autocomplete: "off" }, (now, text) => ({ ...now, text })),
       field("Weight", { type: "number", step: 0.1, min: -LIMIT, max: LIMIT, value: layer.weight, title: "Below zero means not" }, (now, weight) => ({ ...now, weight: Math.min(Math.max(weight, -LIMIT), LIMIT) || 1 })),
       seconds("Begin", "begin"),
       seconds("End", "end"),
+      ...(wider || []),
       element("button", { type: "button", onclick: () => remove(at) }, "Delete the concept"),
     );
   }

@@ -1,5 +1,5 @@
 // A project as the fragment of a link, which no server sees.
-const JSONS = ["graph", "concepts", "foot_fix", "texts", "loop", "in_place", "constraints", "layers", "root", "fps"];
+const JSONS = ["graph", "concepts", "foot_fix", "texts", "loop", "in_place", "constraints", "layers", "seed_offsets", "root", "fps"];
 const OUTPUT = ["fps", "root", "names"];
 
 export function linkOf(wish, output = {}) {

@@ -11,14 +11,14 @@ import { madeOf, named } from "./describe.js";
 import { createDragging } from "./dragging.js";
 import { createForm } from "./form.js";
 import { createHistory } from "./history.js";
-import { createKeep } from "./keep.js";
+import { createKeep, keptFile } from "./keep.js";
 import { createKeys } from "./keys.js";
 import { createLayers } from "./layers.js";
 import { fittedLayers, MOST_LAYERS } from "./layering.js";
 import { linked, linkOf } from "./link.js";
 import { createMaker } from "./maker.js";
 import { createOutput } from "./output.js";
-import { edges, inserted, kindOf, newProject, projectOf, wishOf } from "./project.js";
+import { cutAt, edges, inserted, kindOf, newProject, projectOf, segmentAt, wishOf } from "./project.js";
 import { createProjectFiles } from "./project_file.js";
 import { createResult } from "./result.js";
 import { createTakes } from "./takes.js";
@@ -31,6 +31,7 @@ const NEXT = "a person stands still";
 const NEXT_SECONDS = 2;
 const STRIP_TIME = 0.6; // of a clip: when it is drawn for the strip
 const PICTURE_WAIT = 600; // milliseconds at most until it is drawn
+const BEGIN_WAIT = 2000; // milliseconds at most until somebody moves
 const STEP_PAUSE = 150; // milliseconds: who changes or undoes step after step waits for no clip between
 
 const count = (name) => {
@@ -41,6 +42,10 @@ const count = (name) => {
 export async function openPlayground(side, play, stage, transport, clock) {
   side.append(document.getElementById("playground").content);
   side.before(document.getElementById("authoring").content);
+  const keep = createKeep();
+  const [file, opened] = await Promise.all([keptFile.load(), !play.waits && !linked() && !keep.has() && play.opening ? loadActor(play.opening) : null]);
+  let early = file ? null : opened; // who is drawn while the page is still being built: that takes the longest
+  if (early) stage.show([early]);
   const at = (name) => document.querySelector(name);
   const made = new Map(); // wish with its seed, as JSON -> the server's event
   let project = newProject(play.example);
@@ -59,7 +64,6 @@ export async function openPlayground(side, play, stage, transport, clock) {
     at(".error").hidden = !error;
     at(".error").textContent = error?.message ?? "";
   };
-  const keep = createKeep();
   const history = createHistory(() => {
     at(".undo").disabled = !history.canUndo;
     at(".redo").disabled = !history.canRedo;
@@ -91,6 +95,7 @@ export async function openPlayground(side, play, stage, transport, clock) {
   const layers = createLayers(at(".timeline"), {
     selected: constraining.deselect,
     now: () => timeline.now,
+    cut: cutTo,
     change: (changed) => change({ ...timeline.timed(), layers: changed.slice(0, MOST_LAYERS) }, selected),
   });
   const projectFiles = createProjectFiles(at(".tools .menu"), history, { opened: () => go(history.now), fresh, fail });
@@ -108,7 +113,7 @@ export async function openPlayground(side, play, stage, transport, clock) {
   /** Show a clip or sketch; one that a later one overtakes while it is unpacked is left out. */
   async function show(clip, restart, character = null) {
     const own = ++shows;
-    const actor = await loadActor(clip, character);
+    const actor = earlier(clip, character) ?? (await loadActor(clip, character));
     if (own !== shows) {
       actor.dispose();
       return null;
@@ -118,6 +123,13 @@ export async function openPlayground(side, play, stage, transport, clock) {
     if (clip.level === "draft") count("drafts");
     if (restart) transport.restart();
     else transport.refresh();
+    return actor;
+  }
+
+  /** The actor that is drawn already, if the first clip is its own. */
+  function earlier(clip, character) {
+    const actor = !character && early?.clip.glb === clip.glb ? Object.assign(early, { clip }) : null;
+    early = null;
     return actor;
   }
 
@@ -255,6 +267,14 @@ export async function openPlayground(side, play, stage, transport, clock) {
     make(next, { changes: true, own: sameSeed(next) });
   }
 
+  /** Cut sentences where a concept begins and ends, so that it counts for its span alone. */
+  function cutTo({ begin, end }) {
+    const known = timeline.timed();
+    const next = cutAt(cutAt(known, begin, play.seconds[0]), end, play.seconds[0]);
+    if (next === known) maker.say(`A sentence lasts ${play.seconds[0]} s or longer: there is nothing to cut`);
+    else change(next, segmentAt(next, begin).at);
+  }
+
   /** Other constraints: while one is dragged, drafts and the clip where it rests; else the clip, a draft before it. */
   function constrain(constraints, done) {
     const next = { ...read(), constraints };
@@ -302,6 +322,8 @@ export async function openPlayground(side, play, stage, transport, clock) {
   const idle = () => new Promise((resolve) => (window.requestIdleCallback ? requestIdleCallback(resolve, { timeout: PICTURE_WAIT }) : setTimeout(resolve, PICTURE_WAIT)));
 
   async function drawTake({ clip }) {
+    // the first picture must not delay the first movement
+    if (transport.playing) await Promise.race([stage.beginning, new Promise((resolve) => setTimeout(resolve, BEGIN_WAIT))]);
     await idle();
     const seen = front === shown && shown?.clip.glb === clip.glb;
     const actor = seen ? shown : await loadActor(clip);
@@ -416,7 +438,7 @@ export async function openPlayground(side, play, stage, transport, clock) {
   );
   at(".help").addEventListener("click", keys.show);
 
-  await characters.restore();
+  characters.restore(file);
   begin();
 
   /** What the link says, or what was kept, or the clip that the page came with. */

@@ -1,6 +1,7 @@
 // A project as one plain value: what is authored, apart from how it is drawn. Nothing here changes a value in place.
 //
-//   segments     [{text, graph?, seconds?}], sentences one after another; a graph stands where it was edited
+//   segments     [{text, graph?, seconds?, offset?}], sentences one after another; a graph stands where it was edited; the
+//                offset against the seed of the whole goes with its sentence, which is its place where there is none
 //   concepts     null, or {concepts, method, text?, lambdas?, agd?, seconds?} in place of the sentences
 //   sampling     {seed?, steps?, guidance?, foot_fix?}, as typed
 //   shape        {loop?, in_place?}: true where they are wanted
@@ -33,6 +34,8 @@ export function wishOf({ segments, concepts, sampling, shape, constraints, layer
   else {
     wish = { texts: segments.map(({ text, graph }) => graph ?? text) };
     if (segments.every(({ seconds }) => seconds)) wish.seconds = segments.map(({ seconds }) => Number(seconds));
+    const offsets = numbered(segments).map(({ offset }) => offset);
+    if (segments.length > 1 && offsets.some((offset, at) => offset !== at)) wish.seed_offsets = offsets;
     if (layers.length) wish.layers = layers;
   }
   Object.assign(wish, sampling, shape);
@@ -48,6 +51,7 @@ export function projectOf(wish, output = {}) {
   const lengths = [].concat(wish.texts ? numbers(wish.seconds) : wish.seconds ?? []);
   const segments = texts.map((said, at) => {
     const segment = typeof said === "string" ? { text: said } : { text: wish.text ?? said.caption, graph: said };
+    if (wish.seed_offsets) segment.offset = wish.seed_offsets[at];
     const seconds = lengths.length === 1 ? lengths[0] : lengths[at];
     return seconds === undefined ? segment : { ...segment, seconds };
   });
@@ -70,23 +74,31 @@ export const isSequence = ({ segments, concepts }) => !concepts && segments.leng
 
 const withSegments = (project, segments) => ({ ...project, segments });
 
+/** Segments with their offsets, which so stay as they are when others come, go or move. */
+function numbered(segments) {
+  return segments.map((segment, at) => ({ ...segment, offset: segment.offset ?? at }));
+}
+
 export function withSegment(project, at, change) {
   return withSegments(project, project.segments.map((segment, k) => (k === at ? { ...segment, ...change } : segment)));
 }
 
 export function inserted(project, at, segment) {
   if (project.segments.length >= MOST_SEGMENTS) return project;
-  return withSegments(project, project.segments.toSpliced(at, 0, segment));
+  const segments = numbered(project.segments);
+  const offset = 1 + Math.max(...segments.map((other) => other.offset));
+  return withSegments(project, segments.toSpliced(at, 0, { ...segment, offset }));
 }
 
 export function removed(project, at) {
-  return project.segments.length === 1 ? project : withSegments(project, project.segments.toSpliced(at, 1));
+  return project.segments.length === 1 ? project : withSegments(project, numbered(project.segments).toSpliced(at, 1));
 }
 
 export function moved(project, from, to) {
   if (to < 0 || to >= project.segments.length || from === to) return project;
-  const segments = project.segments.toSpliced(from, 1);
-  return withSegments(project, segments.toSpliced(to, 0, project.segments[from]));
+  const segments = numbered(project.segments);
+  const [segment] = segments.splice(from, 1);
+  return withSegments(project, segments.toSpliced(to, 0, segment));
 }
 
 /** Cut a segment in two of the same words, `seconds` after its beginning; both must last as long as they may. */
@@ -95,6 +107,12 @@ export function split(project, at, seconds, shortest = SHORTEST) {
   if (!(seconds >= shortest && whole - seconds >= shortest)) return project;
   const first = withSegment(project, at, { seconds: rounded(seconds) });
   return inserted(first, at + 1, { ...project.segments[at], seconds: rounded(whole - seconds) });
+}
+
+/** Cut the segment at a time of the whole, where that leaves two that are long enough. */
+export function cutAt(project, time, shortest = SHORTEST) {
+  const { at, into } = segmentAt(project, time);
+  return split(project, at, rounded(into), shortest);
 }
 
 export const rounded = (seconds) => Math.round(seconds * 20) / 20;
@@ -126,6 +144,7 @@ export function checked(value) {
   for (const segment of value.segments) {
     if (!isObject(segment) || typeof segment.text !== "string" || segment.text.length > MOST_TEXT) refuse("a segment has no text");
     if (segment.graph !== undefined && !Array.isArray(segment.graph?.actions)) refuse("a graph has no actions");
+    if (segment.offset !== undefined && !(Number.isInteger(segment.offset) && segment.offset >= 0)) refuse("an offset is no number");
   }
   const { concepts = null, constraints = [], layers = [] } = value;
   if (concepts !== null && !(isObject(concepts) && Array.isArray(concepts.concepts))) refuse("its concepts are no list");
@@ -133,7 +152,7 @@ export function checked(value) {
   if (!Array.isArray(layers) || layers.length > MOST_CONSTRAINTS || !layers.every(isLayer)) refuse("its layers are no list of concepts");
   for (const key of ["sampling", "shape", "output"]) if (!isObject(value[key] ?? {})) refuse(`${key} is no object`);
   return {
-    segments: value.segments.map((segment) => pick(segment, ["text", "graph", "seconds"])),
+    segments: value.segments.map((segment) => pick(segment, ["text", "graph", "seconds", "offset"])),
     concepts: concepts && pick(concepts, MIXING),
     sampling: pick(value.sampling ?? {}, SAMPLING),
     shape: pick(value.shape ?? {}, SHAPE),

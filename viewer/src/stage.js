@@ -73,6 +73,8 @@ export function createStage(view) {
   let time = 0;
   let asked = false;
   let moved = ""; // once somebody has been seen to move
+  let begun; // told then
+  const beginning = new Promise((resolve) => (begun = resolve));
 
   function draw() {
     asked = false;
@@ -90,11 +92,11 @@ export function createStage(view) {
     canvas.dataset.panes = panes.filter((pane) => pane.actor).length;
     // not before others are drawn: a material that is alone in its kind takes its program along, which is slow to make
     for (const actor of gone.splice(0)) actor.dispose();
-    if (time > 0 && !moved) requestAnimationFrame(() => performance.mark((moved = "moved")));
+    if (time > 0 && !moved) requestAnimationFrame(() => begun(performance.mark((moved = "moved"))));
   }
 
   function ask() {
-    if (!asked) requestAnimationFrame(draw);
+    if (!asked) requestAnimationFrame(() => asked && draw()); // it may have been drawn at once meanwhile
     asked = true;
   }
 
@@ -171,6 +173,8 @@ export function createStage(view) {
 
   return {
     recentre,
+    /** Resolves when somebody has been seen to move. */
+    beginning,
     orbit,
     ask,
     overlay(object) {

@@ -1,6 +1,6 @@
 // The timeline: sentences one after another as blocks to select, drag, stretch, cut and reorder; the time that is seen.
 import { element } from "./elements.js";
-import { edges, isSequence, MOST_SEGMENTS, moved, removed, rounded, segmentAt, split, withSegment } from "./project.js";
+import { cutAt, edges, isSequence, MOST_SEGMENTS, moved, removed, rounded, segmentAt, withSegment } from "./project.js";
 
 const NUDGE = 0.1; // seconds per key
 const DRAG = 5; // pixels before a press is a drag
@@ -143,9 +143,8 @@ export function createTimeline(box, limits, on) {
 
   function splitHere() {
     const known = timed();
-    const { at, into } = segmentAt(known, placed(time));
-    const next = split(known, at, rounded(into), limits[0]);
-    if (next !== known) on.change(next, at + 1);
+    const next = cutAt(known, placed(time), limits[0]);
+    if (next !== known) on.change(next, segmentAt(known, placed(time)).at + 1);
   }
 
   function remove(at) {

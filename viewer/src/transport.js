@@ -66,6 +66,9 @@ export function createTransport(box, stage, ontime = () => {}) {
   place(0);
 
   return {
+    get playing() {
+      return playing;
+    },
     /** From the beginning; at once, unless the reader asked for less motion. */
     restart() {
       place(0);

@@ -1,6 +1,6 @@
 // Below the sentence: examples to press, a search over all that is known, and unknown words in yellow where they stand.
 import { element } from "./elements.js";
-import { chosen, said, search, shortOf } from "./phrases.js";
+import { chosen, isSeldom, recognised, said, search, shortOf } from "./phrases.js";
 
 const ACTIONS = 9;
 const STYLES = 6;
@@ -10,14 +10,25 @@ export function createWords(box, text, phrases, play) {
   const [rows, field, found] = [".chip-rows", ".search", ".found"].map((name) => box.querySelector(name));
   box.hidden = !phrases.length;
 
-  const chip = (phrase) =>
+  const chip = (phrase, ...beside) =>
     element(
       "button",
       { type: "button", class: `chip ${phrase.kind}`, title: phrase.example, onclick: () => play(said(text.value, phrase, phrases)) },
       shortOf(phrase),
+      ...beside,
     );
+  const hit = (phrase) => {
+    const share = recognised(phrase);
+    if (!share) return chip(phrase);
+    const told = `recognised in ${share} of its clips`;
+    const button = chip(phrase, element("small", {}, share));
+    button.classList.toggle("seldom", isSeldom(phrase));
+    button.title = `${phrase.example}: ${told}`;
+    button.setAttribute("aria-label", `${shortOf(phrase)}, ${told}`);
+    return button;
+  };
   const row = (name, kind, most) =>
-    element("div", { class: "chips", role: "group", "aria-label": name }, element("span", { class: "kind" }, name), ...chosen(phrases, kind, most).map(chip));
+    element("div", { class: "chips", role: "group", "aria-label": name }, element("span", { class: "kind" }, name), ...chosen(phrases, kind, most).map((phrase) => chip(phrase)));
   rows.append(row("Actions", "action", ACTIONS), row("Styles", "style", STYLES));
   field.placeholder = `Search all ${phrases.length}`;
 
@@ -25,7 +36,7 @@ export function createWords(box, text, phrases, play) {
     const query = field.value.trim();
     const hits = search(phrases, query);
     rows.hidden = Boolean(query);
-    found.replaceChildren(...hits.map(chip));
+    found.replaceChildren(...hits.map(hit));
     if (query && !hits.length) found.append(element("p", { class: "hint" }, "Nothing like that was shown to this model."));
   });
   field.addEventListener("keydown", (event) => {

@@ -1,6 +1,6 @@
 import assert from "node:assert/strict";
 import { test } from "node:test";
-import { chosen, replaced, said, search, shortOf } from "../src/phrases.js";
+import { chosen, isSeldom, recognised, replaced, said, search, shortOf } from "../src/phrases.js";
 
 const action = (example, clips = 1, wordings = []) => ({ kind: "action", example, clips, wordings: [example.replace("a person ", ""), ...wordings] });
 const style = (wording, clips = 1) => ({ kind: "style", example: `a person walks ${wording}`, clips, wordings: [wording] });
@@ -13,6 +13,15 @@ test("few examples show much: one of each verb, none too long", () => {
   assert.deepEqual(chosen(phrases, "action", 9).map(shortOf), ["runs", "raises the left hand"]);
   assert.deepEqual(chosen(phrases, "style", 9).map(shortOf), ["in a tired way", "angrily"]);
   assert.deepEqual(chosen(phrases, "action", 1).map(shortOf), ["runs"]);
+});
+
+test("what is mostly recognised comes first, where that was measured", () => {
+  const measured = phrases.map((phrase) => ({ ...phrase, recognised: { "a person runs": 0.2, "a person raises the left hand": 0.834 }[phrase.example] ?? null }));
+  assert.deepEqual(chosen(measured, "action", 9).map(shortOf), ["raises the left hand", "runs, then stops"]);
+  assert.deepEqual(search(measured, "run").map(shortOf), ["runs, then stops", "runs"]);
+  const [runs, , raises, thumbs] = measured;
+  assert.deepEqual([runs, raises, thumbs].map(recognised), ["20 %", "83 %", ""]);
+  assert.deepEqual([runs, raises, thumbs, phrases[0]].map(isSeldom), [true, false, false, false]);
 });
 
 test("a search finds beginnings of words, in other wordings, too", () => {

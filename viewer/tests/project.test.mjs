@@ -1,6 +1,7 @@
 import assert from "node:assert/strict";
 import { test } from "node:test";
-import { checked, edges, inserted, kindOf, MOST_SEGMENTS, moved, newProject, projectOf, removed, segmentAt, split, wishOf, withSegment } from "../src/project.js";
+import { command, python } from "../src/code.js";
+import { checked, cutAt, edges, inserted, kindOf, MOST_SEGMENTS, moved, newProject, projectOf, removed, segmentAt, split, wishOf, withSegment } from "../src/project.js";
 
 const three = () => ({
   ...newProject("a"),
@@ -45,6 +46,33 @@ test("segments are inserted, removed, moved and cut, and the project before stay
   assert.equal(many.segments.length, MOST_SEGMENTS);
 });
 
+test("a sentence keeps its seed when others come, go or move", () => {
+  const offsets = (project) => wishOf(project).seed_offsets;
+  assert.equal(offsets(three()), undefined);
+  const longer = inserted(three(), 1, { text: "x", seconds: 1 });
+  assert.deepEqual(offsets(longer), [0, 3, 1, 2]);
+  assert.deepEqual(offsets(moved(longer, 0, 3)), [3, 1, 2, 0]);
+  assert.deepEqual(offsets(removed(longer, 0)), [3, 1, 2]);
+  assert.deepEqual(offsets(removed(longer, 1)), undefined);
+  assert.deepEqual(offsets(inserted(removed(longer, 0), 3, { text: "y", seconds: 1 })), [3, 1, 2, 4]);
+  assert.deepEqual(offsets(split(three(), 1, 1.5)), [0, 1, 3, 2]);
+  assert.equal(offsets(removed(removed(longer, 0), 1)).length, 2);
+  assert.equal("seed_offsets" in wishOf(removed(removed(removed(longer, 0), 1), 1)), false);
+  const wish = wishOf(longer, "7");
+  assert.deepEqual(wishOf(projectOf(wish)), wish);
+  assert.deepEqual(wishOf(checked(longer), "7"), wish);
+  assert.match(python(wish, {}, "x.npz"), /pipe\.sequence\(.*seed=7, seed_offsets=\[0, 3, 1, 2\]\)/);
+  assert.match(command(wish, {}, "x.npz"), /^kinegraph sequence a x b c --seed-offsets 0,3,1,2 /);
+});
+
+test("sentences are cut where a concept begins and ends", () => {
+  const lengths = (project) => project.segments.map(({ seconds }) => seconds);
+  assert.deepEqual(lengths(cutAt(cutAt(three(), 3, 0.8), 4, 0.8)), [2, 1, 1, 1, 1.5]);
+  assert.deepEqual(lengths(cutAt(three(), 2.5, 0.8)), [2, 3, 1.5]);
+  assert.equal(cutAt(three(), 0, 0.8).segments.length, 3);
+  assert.equal(cutAt(three(), 6.5, 0.8).segments.length, 3);
+});
+
 test("a time has a segment", () => {
   assert.deepEqual(edges(three()), [0, 2, 5, 6.5]);
   assert.deepEqual(segmentAt(three(), 2.5), { at: 1, into: 0.5 });
@@ -56,7 +84,7 @@ test("what is no project is refused with a reason", () => {
   const bad = [
     [null, "segments"], [{}, "segments"], [{ segments: [] }, "1 to 16"], [{ segments: Array(17).fill({ text: "a" }) }, "1 to 16"],
     [{ segments: [{ text: "a".repeat(513) }] }, "no text"], [{ segments: [{ text: 3 }] }, "no text"],
-    [{ segments: [{ text: "a", graph: {} }] }, "actions"], [{ segments: [{ text: "a" }], concepts: [] }, "concepts"],
+    [{ segments: [{ text: "a", graph: {} }] }, "actions"], [{ segments: [{ text: "a", offset: -1 }] }, "offset"], [{ segments: [{ text: "a" }], concepts: [] }, "concepts"],
     [{ segments: [{ text: "a" }], constraints: {} }, "constraints"], [{ segments: [{ text: "a" }], layers: [{ text: "a" }] }, "layers"], [{ segments: [{ text: "a" }], sampling: 3 }, "sampling"],
   ];
   for (const [value, reason] of bad) assert.throws(() => checked(value), new RegExp(reason), JSON.stringify(value));

@@ -115,6 +115,12 @@ def add_sequence(parser: argparse.ArgumentParser) -> None:
         help="blend parts where poses are alike (default); continue: each begins in the last pose of the one before; "
         "energy: all in one run of skeleton space, where the bundle has it",
     )
+    parser.add_argument(
+        "--seed-offsets",
+        type=_row_of_integers,
+        metavar="K[,K...]",
+        help="what each part adds to the seed; default: 0,1,2 ...",
+    )
     _add_sampling_and_output(parser)
 
 
@@ -369,6 +375,11 @@ def _integers(text: str) -> int | tuple[int, ...]:
         return parse_numbers(text, int)
     except InvalidInputError as error:
         raise argparse.ArgumentTypeError(str(error)) from None
+
+
+def _row_of_integers(text: str) -> tuple[int, ...]:
+    numbers = _integers(text)
+    return numbers if isinstance(numbers, tuple) else (numbers,)
 
 
 def _floats(text: str) -> float | tuple[float, ...]:

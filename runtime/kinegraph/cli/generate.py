@@ -139,6 +139,7 @@ def sequence(args: argparse.Namespace) -> int:
                 seconds=args.seconds,
                 method=args.method,
                 seed=seed,
+                seed_offsets=args.seed_offsets,
                 on_step=on_step,
                 **sampling.keywords,
             )

@@ -92,10 +92,10 @@ def _generate(
     if request.constraints:
         constraining = {"constraints": request.constraints, "constraint_weight": request.constraint_weight}
     if request.texts is not None:
+        sampling |= {"seed_offsets": request.seed_offsets, "memory": memory}
         if request.constraints or request.layers:
-            layers = request.layers
-            return generate_timeline(pipeline, request.texts, **sampling, **constraining, layers=layers, memory=memory)
-        return pipeline.sequence(request.texts, **sampling, memory=memory)
+            return generate_timeline(pipeline, request.texts, **sampling, **constraining, layers=request.layers)
+        return pipeline.sequence(request.texts, **sampling)
     if request.concepts is None:
         return pipeline.generate(request.text or "", **sampling, **constraining, on_level=on_level)
     mixing = {name: getattr(request, name) for name in ("method", "text", "lambdas", "agd")}

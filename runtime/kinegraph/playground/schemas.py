@@ -40,8 +40,9 @@ _STRING: Final = re.compile(rb'"[^"\\]*(?:\\.[^"\\]*)*"?', re.DOTALL)
 _BRACKET: Final = re.compile(rb"[\[\]{}]")
 
 _SAMPLING_KEYS: Final = frozenset(("seconds", "seed", "steps", "guidance", "foot_fix"))
+_SEQUENCE_KEYS: Final = frozenset(("layers", "seed_offsets"))
 _COMPOSITION_KEYS: Final = frozenset(("method", "lambdas", "agd"))
-_CONSTRAINT_KEYS: Final = frozenset(("constraints", "constraint_weight", "layers"))
+_CONSTRAINT_KEYS: Final = frozenset(("constraints", "constraint_weight"))
 _SHAPE_KEYS: Final = frozenset(("loop", "in_place"))
 _FILE_KEYS: Final = frozenset(("names", "root", "fps"))
 
@@ -65,6 +66,8 @@ class ClipRequest:
     seconds: Any = None
     """Length, or the lengths of a sequence's parts."""
     seed: int | None = None
+    seed_offsets: Any = None
+    """Of the sentences of a sequence, against its seed."""
     steps: Steps | None = None
     guidance: Guidance | None = None
     foot_fix: bool = True
@@ -182,11 +185,11 @@ def parse_clip_request(record: Mapping[str, Any], *, drafts: bool = False) -> Cl
         InvalidInputError: unknown keys, or invalid values.
     """
     what = {"text", "graph", "concepts", "texts", *({"draft"} if drafts else ())}
-    _check_keys(record, {*what, *_COMPOSITION_KEYS, *_SAMPLING_KEYS, *_SHAPE_KEYS, *_CONSTRAINT_KEYS})
+    _check_keys(record, {*what, *_COMPOSITION_KEYS, *_SAMPLING_KEYS, *_SHAPE_KEYS, *_CONSTRAINT_KEYS, *_SEQUENCE_KEYS})
     concepts: tuple[Concept, ...] | None = None
     texts: tuple[str | SemanticGraph, ...] | None = None
-    if "layers" in record and "texts" not in record:
-        raise InvalidInputError("layers are for a sequence, which has texts")
+    if "texts" not in record and (misplaced := sorted(_SEQUENCE_KEYS & record.keys())):
+        raise InvalidInputError(f"{misplaced[0]} is for a sequence, which has texts")
     if "texts" in record:
         if beside := sorted(record.keys() & {"text", "graph", "concepts", *_COMPOSITION_KEYS}):
             raise InvalidInputError(f"{beside[0]} is not for a sequence, which has texts")
@@ -210,6 +213,7 @@ def parse_clip_request(record: Mapping[str, Any], *, drafts: bool = False) -> Cl
         agd=_numbers(record, "agd", float),
         seconds=_numbers(record, "seconds", float) if texts else _number(record, "seconds", float),
         seed=_number(record, "seed", int),
+        seed_offsets=record.get("seed_offsets"),
         steps=_numbers(record, "steps", int),
         guidance=_numbers(record, "guidance", float),
         foot_fix=record.get("foot_fix", True),

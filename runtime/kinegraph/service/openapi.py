@@ -26,6 +26,11 @@ _PROPERTIES: Final[dict[str, dict[str, Any]]] = {
     },
     "seconds": {"type": ["number", "array"], "description": "length; of a sequence one, or one for each part"},
     "seed": {"type": "integer", "minimum": 0, "description": "the same seed gives the same clip"},
+    "seed_offsets": {
+        "type": "array",
+        "items": {"type": "integer", "minimum": 0},
+        "description": "of the sentences of a sequence, against its seed; 0, 1, 2 ... without it",
+    },
     "steps": {"type": ["integer", "array"], "description": "diffusion steps, one number or one for each level"},
     "guidance": {"type": ["number", "array"], "description": "guidance scale, one number or one for each level"},
     "foot_fix": {"type": "boolean", "default": True, "description": "hold standing feet"},
