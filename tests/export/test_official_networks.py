@@ -11,8 +11,17 @@ pytest.importorskip("onnx")
 import onnxruntime
 
 from kinegraph.bundle.contract import LEVELS, LevelSpec, decoder
+from kinegraph.bundle.onnx_inspect import summarise
+from kinegraph.bundle.released_contract import released_level
 from kinegraph_export.official.checkpoint import build_vae, graphmotion_models
-from kinegraph_export.official.graphs import VaeDecoderGraph, VaeEncoderGraph, export_graph, vae_encoder_contract
+from kinegraph_export.official.denoiser import OfficialDenoiser, OfficialDenoiserConfig
+from kinegraph_export.official.graphs import (
+    VaeDecoderGraph,
+    VaeEncoderGraph,
+    export_graph,
+    level_spec,
+    vae_encoder_contract,
+)
 from kinegraph_export.official.vae import OfficialVae, OfficialVaeConfig
 from kinegraph_export.tensor_files import load_weights, read_tensors
 from support.official import graphmotion_tensors, randomise
@@ -98,3 +107,15 @@ def test_padding_changes_no_frame() -> None:
         mean_padded = vae.encode(padded, torch.cat([torch.ones(1, 12), torch.zeros(1, 9)], dim=1))[0]
     torch.testing.assert_close(padded[:, :12], alone, rtol=0, atol=1e-5)
     torch.testing.assert_close(mean_padded, mean, rtol=0, atol=1e-5)
+
+
+def test_self_attention_has_the_operator_that_is_fast_in_its_precision() -> None:
+    denoiser = randomise(OfficialDenoiser(OfficialDenoiserConfig(2, 16, 32, 3, 4, 64, 24, is_lifted=True)), 1).eval()
+    contract = released_level("motion", level_spec(denoiser, 1), 24, None)[-1]
+    assert contract.name == "denoiser_motion"
+    exact, parity = export_graph(denoiser, contract, "fp32")
+    small, _ = export_graph(denoiser, contract, "int8")
+    assert parity[contract.name] <= TOLERANCE
+    found = {name: set(summarise(data, name).operators) for name, data in (("fp32", exact), ("int8", small))}
+    assert not any("com.microsoft::Attention" in operators for operators in found.values())
+    assert "com.microsoft::MultiHeadAttention" in found["fp32"] and "com.microsoft::QAttention" in found["int8"]

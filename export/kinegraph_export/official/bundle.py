@@ -20,6 +20,7 @@ from kinegraph.bundle.contract import FORMAT_VERSION, Family, levels_of
 from kinegraph.bundle.manifest import (
     Defaults,
     FeatureSpec,
+    FileSpec,
     FrameSpec,
     Licence,
     Manifest,
@@ -27,6 +28,7 @@ from kinegraph.bundle.manifest import (
     SkeletonSpec,
     TextSpec,
     describe_file,
+    encode_manifest,
 )
 from kinegraph.bundle.onnx_inspect import summarise
 from kinegraph.bundle.reader import text_files_folder
@@ -37,7 +39,6 @@ from kinegraph.motion import kit_ml
 from kinegraph.motion.skeleton import JOINT_NAMES, PARENTS
 from kinegraph.pipeline import MotionPipeline
 from kinegraph_export.clip_text_encoder import ClipAssets
-from kinegraph_export.export_bundle import write_bundle
 from kinegraph_export.graphs import Precision
 from kinegraph_export.official.checkpoint import GraphMotionModels, MldModels
 from kinegraph_export.official.graphs import export_networks, level_specs
@@ -80,6 +81,28 @@ class Origin:
     licence: str
     """Of its code, for the manifest."""
     checkpoint: Path
+
+
+class StagedFiles:
+    """Files of a bundle in a folder of its own, each forgotten once it is written: together they are gigabytes."""
+
+    def __init__(self, folder: Path) -> None:
+        folder.mkdir()
+        self.folder = folder
+        self.described: dict[str, FileSpec] = {}
+        self.operators: dict[str, tuple[str, ...]] = {}
+        """Of each graph."""
+
+    def add(self, name: str, content: bytes) -> None:
+        """Write a file, and describe it for the manifest."""
+        (self.folder / name).write_bytes(content)
+        self.described[name] = describe_file(content)
+        if name.endswith(".onnx"):
+            self.operators[name] = summarise(content, name).operators
+
+    def add_manifest(self, manifest: Manifest) -> None:
+        """Write the manifest."""
+        (self.folder / "manifest.json").write_bytes(encode_manifest(manifest))
 
 
 def check_sizes(text_width: int, features: int, clip_width: int) -> None:
@@ -141,27 +164,29 @@ def write_imported(
     Raises:
         ParityError: a graph differs from its module.
     """
-    graphs, parity = export_networks(models, family, precision)
     buffer = io.BytesIO()
     np.savez(buffer, **{EMPTY_CAPTION: clip.empty_caption})
     files = {
-        **graphs,
         **parser,
         "text_encoder.onnx": clip.text_encoder,
         "tokenizer.json": clip.tokenizer,
         "tables.npz": buffer.getvalue(),
     }
-    manifest = build_manifest(origin, models, family, clip, statistics, files, {**clip.parity, **parity}, precision)
     out.parent.mkdir(parents=True, exist_ok=True)
     # beside `out`: gigabytes are not copied between disks, and a folder appears whole or not at all
     with tempfile.TemporaryDirectory(dir=out.parent) as folder:
-        staged = Path(folder) / "bundle"
-        write_bundle(staged, manifest, files)
-        graphs.clear()
-        files.clear()
-        MotionPipeline.load(staged)
+        staged = StagedFiles(Path(folder) / "bundle")
+        for name, content in files.items():
+            staged.add(name, content)
+        parity = dict(clip.parity)
+        for name, content, differences in export_networks(models, family, precision):
+            staged.add(name, content)
+            parity |= differences
+        manifest = build_manifest(origin, models, family, clip, statistics, staged, parity, precision)
+        staged.add_manifest(manifest)
+        MotionPipeline.load(staged.folder)
         shutil.rmtree(out, ignore_errors=True)
-        staged.rename(out)
+        staged.folder.rename(out)
     return manifest
 
 
@@ -171,16 +196,15 @@ def build_manifest(
     family: Family,
     clip: ClipAssets,
     statistics: tuple[FloatArray, FloatArray],
-    files: dict[str, bytes],
+    files: StagedFiles,
     parity: dict[str, float],
     precision: Precision,
 ) -> Manifest:
-    """Build the manifest of an imported bundle from the contents of its files."""
+    """Build the manifest of an imported bundle."""
     mean, std = statistics
     data = DATA_SETS[len(mean)]
     shortest, longest = data.frames.min / data.fps, data.frames.max / data.fps
     levels = levels_of(family)
-    graphs = {name: content for name, content in files.items() if name.endswith(".onnx")}
     return Manifest(
         format_version=FORMAT_VERSION,
         name=origin.name,
@@ -213,8 +237,8 @@ def build_manifest(
         defaults=Defaults(dict.fromkeys(levels, STEPS), dict.fromkeys(levels, GUIDANCE), "structure", SECONDS),
         roles=ROLES,
         precision=precision,
-        files={name: describe_file(content) for name, content in sorted(files.items())},
-        operators={name: summarise(content, name).operators for name, content in sorted(graphs.items())},
+        files=dict(sorted(files.described.items())),
+        operators=dict(sorted(files.operators.items())),
         parity=parity,
         training={},
         quality={},

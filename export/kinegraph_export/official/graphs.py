@@ -6,7 +6,7 @@ graph attention and condition tokens in float32 on weights stored as float16.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from typing import Any, Final
 
 import numpy as np
@@ -40,7 +40,26 @@ BINARY: Final = ("mask", "adjacency", "relations")
 
 
 class FusedPackedSelfAttention(nn.Module):
-    """Self-attention as `Attention` with a mask over keys, which quantises to QAttention."""
+    """Self-attention as one matrix product and `MultiHeadAttention` with a mask over keys."""
+
+    def __init__(self, trained: PackedSelfAttention) -> None:
+        super().__init__()
+        self.heads, self.out_proj = trained.heads, trained.out_proj
+        self.weight, self.bias = trained.in_proj_weight, trained.in_proj_bias
+
+    def forward(self, x: Tensor, mask: Tensor | None) -> Tensor:
+        """Emit `PackedSelfAttention.forward`."""
+        query, key, value = functional.linear(x, self.weight, self.bias).chunk(3, dim=-1)
+        visible = None if mask is None else mask.to(torch.int32)
+        inputs: list[Tensor | None] = [query, key, value, None, visible]
+        return self.out_proj(emit_node(f"{MICROSOFT}::MultiHeadAttention", inputs, x, 1, num_heads=self.heads))
+
+
+class QuantisedPackedSelfAttention(nn.Module):
+    """Self-attention as `Attention` with a mask over keys, which quantises to QAttention.
+
+    In float32 it is slow: onnxruntime multiplies by the weights of each head for each row of the batch.
+    """
 
     def __init__(self, trained: PackedSelfAttention) -> None:
         super().__init__()
@@ -80,6 +99,12 @@ FUSED: Final[Mapping[type[nn.Module], Callable[[Any], nn.Module]]] = {
     PackedSelfAttention: FusedPackedSelfAttention,
     PackedCrossAttention: FusedPackedCrossAttention,
 }
+"""For float32."""
+QUANTISED: Final[Mapping[type[nn.Module], Callable[[Any], nn.Module]]] = {
+    **FUSED,
+    PackedSelfAttention: QuantisedPackedSelfAttention,
+}
+"""For graphs that are quantised."""
 
 
 class ConditionGraph(nn.Module):
@@ -192,12 +217,13 @@ def draw_inputs(contract: GraphContract) -> InputGenerator:
     return draw
 
 
-def trace(module: nn.Module, contract: GraphContract) -> onnx.ModelProto:
-    """Trace a module to ONNX with fused attention."""
+def trace(module: nn.Module, contract: GraphContract, *, quantised: bool = False) -> onnx.ModelProto:
+    """Trace a module to ONNX with fused attention; `quantised` makes one that quantises."""
     sample = draw_inputs(contract)(np.random.Generator(np.random.PCG64(1)))
     names = [spec.name for spec in contract.inputs], [spec.name for spec in contract.outputs]
     arguments = tuple(module_arguments(contract, sample))
-    return to_onnx(fuse_operators(module, FUSED), arguments, *names, dynamic_shapes(contract, 1))
+    fused = fuse_operators(module, QUANTISED if quantised else FUSED)
+    return to_onnx(fused, arguments, *names, dynamic_shapes(contract, 1))
 
 
 def export_graph(module: nn.Module, contract: GraphContract, precision: Precision) -> tuple[bytes, dict[str, float]]:
@@ -211,36 +237,34 @@ def export_graph(module: nn.Module, contract: GraphContract, precision: Precisio
         ParityError: the exported graph differs from the module.
     """
     draw = draw_inputs(contract)
-    model = trace(module, contract)
-    data = serialise(model)
-    parity = {contract.name: max_difference(data, module, contract, draw)}
-    if precision == "int8":
-        if contract.name.startswith("denoiser_"):
-            model = strip_metadata(optimise_graph(quantise_dynamic(model)))
-        data = serialise(store_float16(model))
-        parity[f"int8_{contract.name}"] = relative_error(data, module, contract, draw)
-    return data, parity
+    if precision == "fp32":
+        data = serialise(trace(module, contract))  # the model is not kept: it may be a gigabyte
+        return data, {contract.name: max_difference(data, module, contract, draw)}
+    quantised = contract.name.startswith("denoiser_")
+    model = trace(module, contract, quantised=quantised)
+    parity = {contract.name: max_difference(serialise(model), module, contract, draw)}
+    if quantised:
+        model = strip_metadata(optimise_graph(quantise_dynamic(model)))
+    data = serialise(store_float16(model))
+    return data, parity | {f"int8_{contract.name}": relative_error(data, module, contract, draw)}
 
 
 def export_networks(
     models: GraphMotionModels | MldModels, family: Family, precision: Precision
-) -> tuple[dict[str, bytes], dict[str, float]]:
-    """Export all networks but the text encoder.
+) -> Iterator[tuple[str, bytes, dict[str, float]]]:
+    """Export all networks but the text encoder, one at a time.
 
     Args:
         models: the networks.
         family: of the bundle.
         precision: of the denoisers.
 
-    Returns:
-        Bytes by file name, and the differences that `export_graph` measured.
+    Yields:
+        Name of a file, its bytes, and the differences that `export_graph` measured.
     """
     vae = models.vae if isinstance(models, MldModels) else models.vaes[LEVELS[-1]]
     denoiser = models.denoiser if isinstance(models, MldModels) else models.denoisers[LEVELS[-1]]
     levels = level_specs(models)
     declared = released_contracts(family, levels, denoiser.config.text_width, vae.config.features)
-    files, parity = {}, {}
     for name, module in graph_modules(models).items():
-        files[declared[name].file], differences = export_graph(module, declared[name], precision)
-        parity |= differences
-    return files, parity
+        yield declared[name].file, *export_graph(module, declared[name], precision)
