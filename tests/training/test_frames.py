@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import shutil
 from dataclasses import replace
 from pathlib import Path
@@ -141,7 +142,7 @@ def test_a_run_without_latent_denoisers_is_refused(trained: Path, tmp_path: Path
 
 def test_batches_hold_whole_groups_and_null_captions_keep_their_frames(run: Path) -> None:
     preset = read_preset("tiny")
-    arguments = train_frames.argparse.Namespace(data=run / "data", held_out=None, more=[])
+    arguments = argparse.Namespace(data=run / "data", held_out=None, more=[])
     config = replace(preset.data, splices=0, sequences=0)
     clips = train_frames.load_clips(arguments, config, train_frames.layout_of(137))
     captions = train_frames.encode_captions(clips, "graph", ASSETS, run / "run", verb_masking=False)

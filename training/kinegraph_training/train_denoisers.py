@@ -10,27 +10,24 @@ command resumes a stopped run. Further flags are those of `lightning.Trainer`: `
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import lightning as L
-import torch
 from torch.utils.data import DataLoader, WeightedRandomSampler
 
 from kinegraph.arrays import FloatArray
 from kinegraph.bundle.contract import LEVELS
 from kinegraph.bundle.tables import BONE_LENGTHS, DURATION
 from kinegraph_training.bundle_tables import common_bone_lengths, fit_duration, write_tables
-from kinegraph_training.checkpoints import fit
-from kinegraph_training.config import Preset, read_preset
+from kinegraph_training.config import Preset
 from kinegraph_training.data.caption_cache import CaptionGraphs, CaptionStates
 from kinegraph_training.data.clips import read_ids, without_motion
 from kinegraph_training.data.shown_captions import write_shown_captions
 from kinegraph_training.dataset import Dataset
 from kinegraph_training.denoiser_batches import DenoiserBatches
+from kinegraph_training.denoiser_command import fit_denoisers, read_command
 from kinegraph_training.denoiser_data import (
     BATCHES_PER_EPOCH,
     EncodedCaptions,
@@ -38,13 +35,13 @@ from kinegraph_training.denoiser_data import (
     encode_captions,
     load_clips,
 )
-from kinegraph_training.denoiser_module import DenoiserModule, HideLate
+from kinegraph_training.denoiser_module import DenoiserModule
 from kinegraph_training.latents import Latents, encode_clips, encode_levels, read_vae
 from kinegraph_training.layouts import layout_of
 from kinegraph_training.losses import SpectralMotionLoss
 from kinegraph_training.models.denoiser import LatentShape
 from kinegraph_training.sampling_weights import sampling_weights
-from kinegraph_training.trainer import add_common_arguments, lightning_flags, load_start_weights, make_trainer
+from kinegraph_training.trainer import load_start_weights
 
 
 @dataclass(frozen=True)
@@ -114,18 +111,9 @@ def make_spectral_loss(run: Path, latents: Latents) -> SpectralMotionLoss:
 
 def main(argv: list[str] | None = None) -> None:
     """Run the command line."""
-    parser = argparse.ArgumentParser(prog="kinegraph_training.train_denoisers", description=__doc__.split("\n")[0])
-    add_common_arguments(parser)
-    parser.add_argument(
-        "--assets", type=Path, required=True, help="folder with text_encoder.onnx, tokenizer.json, parser.bin"
-    )
-    arguments, lightning = parser.parse_known_args(argv)
-    preset, run = read_preset(arguments.preset), arguments.run
+    command = read_command("train_denoisers", __doc__, argv)
+    arguments, preset, run = command.arguments, command.preset, command.arguments.run
     config = preset.denoiser_training
-    if arguments.threads:
-        torch.set_num_threads(arguments.threads)
-    L.seed_everything(preset.seed)
-
     clips = load_clips(arguments, preset.data, layout_of(preset.vae[LEVELS[-1]].features))
     captions = encode_captions(
         clips, preset.denoiser.condition, arguments.assets, run, verb_masking=preset.data.verb_masking
@@ -133,7 +121,7 @@ def main(argv: list[str] | None = None) -> None:
     write_bundle_tables(run, clips.train, captions)
     write_shown_captions(run, without_motion(clips.train.clips), recorded=read_ids(arguments.data))
     latents = encode_latents(clips, preset.denoiser.levels, run)
-    train_batches, val_batches = make_loaders(clips, captions, latents, preset)
+    batches = make_loaders(clips, captions, latents, preset)
 
     shapes = {level: LatentShape(*posterior.centre.shape) for level, posterior in latents.train.items()}
     statistics = {level: (posterior.centre, posterior.scale) for level, posterior in latents.train.items()}
@@ -141,16 +129,7 @@ def main(argv: list[str] | None = None) -> None:
     module = DenoiserModule(preset.denoiser, config, shapes, statistics, spectral_loss)
     if arguments.start_from:
         load_start_weights(module.hierarchy, arguments.start_from, "hierarchy.")
-    stage = run / "denoisers"
-    collate: Any = train_batches.collate_fn
-    trainer = make_trainer(
-        stage,
-        config,
-        validate_every=min(500, config.steps),
-        lightning=lightning_flags(lightning),
-        callbacks=[HideLate(collate, preset.data.hide_from * config.steps)],
-    )
-    fit(trainer, module, train_batches, val_batches, stage)
+    fit_denoisers(command, run / "denoisers", config, module, batches)
 
 
 if __name__ == "__main__":

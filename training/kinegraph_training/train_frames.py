@@ -11,22 +11,21 @@ checkpoint. Further flags are those of `lightning.Trainer`.
 
 from __future__ import annotations
 
-import argparse
 import signal
 from pathlib import Path
 from types import FrameType
 from typing import Any
 
 import lightning as L
-import torch
 from torch.utils.data import DataLoader
 
 from kinegraph.bundle.contract import FRAMES, LEVELS
 from kinegraph.errors import InvalidInputError
-from kinegraph_training.checkpoints import fit, read_checkpoint
-from kinegraph_training.config import Preset, read_preset
+from kinegraph_training.checkpoints import read_checkpoint
+from kinegraph_training.config import Preset
 from kinegraph_training.data.clips import without_motion
 from kinegraph_training.dataset import Dataset
+from kinegraph_training.denoiser_command import fit_denoisers, read_command
 from kinegraph_training.denoiser_data import (
     BATCHES_PER_EPOCH,
     EncodedCaptions,
@@ -34,17 +33,13 @@ from kinegraph_training.denoiser_data import (
     encode_captions,
     load_clips,
 )
-from kinegraph_training.denoiser_module import HideLate
 from kinegraph_training.frame_batches import FrameBatches, SimilarLengths
 from kinegraph_training.frame_module import FrameModule
 from kinegraph_training.latents import read_vae
 from kinegraph_training.layouts import layout_of
 from kinegraph_training.models.denoiser import LatentShape
 from kinegraph_training.sampling_weights import sampling_weights
-from kinegraph_training.trainer import add_common_arguments, lightning_flags, load_start_weights, make_trainer
-
-VALIDATE_EVERY = 500
-"""Steps between validations, and between checkpoints."""
+from kinegraph_training.trainer import load_start_weights
 
 
 class StopAtSigterm(L.Callback):
@@ -111,33 +106,16 @@ def make_module(preset: Preset, run: Path, start_from: Path | None) -> FrameModu
 
 def main(argv: list[str] | None = None) -> None:
     """Run the command line."""
-    parser = argparse.ArgumentParser(prog="kinegraph_training.train_frames", description=__doc__.split("\n")[0])
-    add_common_arguments(parser)
-    parser.add_argument(
-        "--assets", type=Path, required=True, help="folder with text_encoder.onnx, tokenizer.json, parser.bin"
-    )
-    arguments, lightning = parser.parse_known_args(argv)
-    preset, run = read_preset(arguments.preset), arguments.run
-    config = preset.frames_training
-    if arguments.threads:
-        torch.set_num_threads(arguments.threads)
-    L.seed_everything(preset.seed)
+    command = read_command("train_frames", __doc__, argv)
+    arguments, preset, run = command.arguments, command.preset, command.arguments.run
     module = make_module(preset, run, arguments.start_from)
     clips = load_clips(arguments, preset.data, layout_of(preset.vae[LEVELS[-1]].features))
     clips = normalised_as(clips, run / f"vae_{LEVELS[-1]}" / "last.ckpt")
     captions = encode_captions(
         clips, preset.denoiser.condition, arguments.assets, run, verb_masking=preset.data.verb_masking
     )
-    train_batches, val_batches = make_loaders(clips, captions, preset)
-    collate: Any = train_batches.collate_fn
-    trainer = make_trainer(
-        run / FRAMES,
-        config,
-        validate_every=min(VALIDATE_EVERY, config.steps),
-        lightning=lightning_flags(lightning),
-        callbacks=[HideLate(collate, preset.data.hide_from * config.steps), StopAtSigterm()],
-    )
-    fit(trainer, module, train_batches, val_batches, run / FRAMES)
+    batches = make_loaders(clips, captions, preset)
+    fit_denoisers(command, run / FRAMES, preset.frames_training, module, batches, [StopAtSigterm()])
 
 
 if __name__ == "__main__":
