@@ -79,3 +79,23 @@ def test_a_concept_counts_for_the_sentences_that_it_touches(
     page.reload()
     page.wait_for_selector("html[data-shown]", state="attached")
     assert bars(page)[0].startswith("not turns left")
+
+
+def test_sentences_are_cut_to_the_span_of_a_concept_and_keep_their_seeds(
+    open_page: Open, server: PlaygroundClient, pipe: MotionPipeline
+) -> None:
+    layer = {"text": "a person turns left", "begin": 1, "end": 2, "weight": 1}
+    scene = {"texts": json.dumps(TEXTS), "seconds": "3,1", "seed": 3, "steps": 2, "layers": json.dumps([layer])}
+    page = open_page(f"{server.url}#{urlencode(scene)}", 900, 620)
+    wait_until(page, lambda: clips_shown(page) == 1)
+    assert bars(page) == ["turns left from 1.0 to 2.0 s; counts from 0.0 to 3.0 s"]
+    page.locator(".bar-of").click()
+    assert "counts from 0.0 to 3.0 s" in page.locator(".inspector.layer").inner_text()
+    page.get_by_role("button", name="Cut the sentences to its span").click()
+    wait_until(page, lambda: clips_shown(page) == 2)
+    assert bars(page) == ["turns left from 1.0 to 2.0 s"]
+    assert "counts from" not in page.locator(".inspector.layer").inner_text()
+    offsets = [0, 2, 3, 1]  # what was there keeps its own
+    texts = [*TEXTS[:1] * 3, TEXTS[1]]
+    clip = generate_timeline(pipe, texts, seconds=1, seed=3, steps=2, layers=[Layer(**layer)], seed_offsets=offsets)
+    assert download(page, ".npz") == encode(clip, ".npz")

@@ -28,6 +28,11 @@ export function createLayers(box, on) {
     (tracks.querySelector("button") ?? add).focus();
   }
 
+  function cut(at) {
+    tracks.querySelectorAll("button")[at].focus(); // what is written in the inspector is not drawn anew
+    on.cut(layers[at]);
+  }
+
   const isWider = (layer, from, to) => from < layer.begin - EXACT || to > layer.end + EXACT;
 
   function bar(layer, at) {
@@ -95,7 +100,7 @@ export function createLayers(box, on) {
     const [from, to] = reach(layer, edges);
     const wider = isWider(layer, from, to) && [
       element("p", {}, `It counts from ${from.toFixed(1)} to ${to.toFixed(1)} s: a sentence is made as a whole.`),
-      element("button", { type: "button", onclick: () => on.cut(layer) }, "Cut the sentences to its span"),
+      element("button", { type: "button", onclick: () => cut(at) }, "Cut the sentences to its span"),
     ];
     return inspector.replaceChildren(
       field("Words", { value: layer.text, maxlength: 512, autocomplete: "off" }, (now, text) => ({ ...now, text })),
