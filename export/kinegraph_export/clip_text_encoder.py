@@ -32,15 +32,17 @@ from kinegraph.validation import short_repr
 from kinegraph_export.model_folder import find_weights, read_settings
 from kinegraph_export.onnx_export import serialise, to_onnx
 from kinegraph_export.parity import InputGenerator, max_difference, relative_error
+from kinegraph_export.self_attention import NamedSelfAttention
 from kinegraph_export.tensor_files import load_weights, read_tensors
 from kinegraph_export.text_encoder import PRECISIONS, quantise_text_encoder
-from kinegraph_training.models.transformer import attend, merge_heads, split_heads
 
 TEXT_PARTS = ("text_model", "text_projection")
 """First parts of the names of the text tower; the rest is the image tower."""
 BEGIN, END = "<|startoftext|>", "<|endoftext|>"
 HEAD_WIDTH = 64
 """Of all published towers; for configurations that leave out the number of heads."""
+PROJECTIONS = ("q_proj", "k_proj", "v_proj", "out_proj")
+"""Of self-attention, in checkpoints."""
 _WORDS = r"""'s|'t|'re|'ve|'m|'ll|'d|[\p{L}]+|[\p{N}]|[^\s\p{L}\p{N}]+"""
 
 
@@ -71,27 +73,13 @@ class QuickGelu(nn.Module):
 ACTIVATIONS: dict[str, type[nn.Module]] = {"quick_gelu": QuickGelu, "gelu": nn.GELU}
 
 
-class ClipAttention(nn.Module):
-    """Multi-head self-attention."""
-
-    def __init__(self, config: ClipConfig) -> None:
-        super().__init__()
-        self.heads = config.heads
-        width = config.width
-        self.q_proj, self.k_proj, self.v_proj, self.out_proj = (nn.Linear(width, width) for _ in range(4))
-
-    def forward(self, x: Tensor, bias: Tensor) -> Tensor:
-        query, key, value = (split_heads(part(x), self.heads) for part in (self.q_proj, self.k_proj, self.v_proj))
-        return self.out_proj(merge_heads(attend(query, key, value, bias)))
-
-
 class ClipLayer(nn.Module):
     """Pre-norm self-attention and feed-forward."""
 
     def __init__(self, config: ClipConfig) -> None:
         super().__init__()
         self.layer_norm1 = nn.LayerNorm(config.width, eps=config.epsilon)
-        self.self_attn = ClipAttention(config)
+        self.self_attn = NamedSelfAttention(config.width, config.heads, PROJECTIONS)
         self.layer_norm2 = nn.LayerNorm(config.width, eps=config.epsilon)
         self.mlp = nn.ModuleDict(
             {"fc1": nn.Linear(config.width, config.feed_forward), "fc2": nn.Linear(config.feed_forward, config.width)}

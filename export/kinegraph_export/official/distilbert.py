@@ -20,13 +20,15 @@ from kinegraph.bundle.contract import PADDING_BIAS
 from kinegraph.errors import InvalidInputError
 from kinegraph.validation import short_repr
 from kinegraph_export.model_folder import find_weights, read_settings
+from kinegraph_export.self_attention import NamedSelfAttention
 from kinegraph_export.tensor_files import load_weights, read_tensors
-from kinegraph_training.models.transformer import attend, merge_heads, split_heads
 
 MODEL: Final = "distilbert-base-uncased"
 PARTS: Final = ("distilbert", "embeddings", "transformer")
 """First parts of its names; the rest is the head that it was trained with."""
 BEGIN, END = "[CLS]", "[SEP]"
+PROJECTIONS: Final = ("q_lin", "k_lin", "v_lin", "out_lin")
+"""Of self-attention, in checkpoints."""
 EPSILON: Final = 1e-12
 HEAD_WIDTH: Final = 64
 """Of the published model; for configurations that leave out the number of heads."""
@@ -44,26 +46,13 @@ class DistilBertConfig:
     feed_forward: int
 
 
-class DistilBertAttention(nn.Module):
-    """Multi-head self-attention."""
-
-    def __init__(self, config: DistilBertConfig) -> None:
-        super().__init__()
-        self.heads, width = config.heads, config.width
-        self.q_lin, self.k_lin, self.v_lin, self.out_lin = (nn.Linear(width, width) for _ in range(4))
-
-    def forward(self, x: Tensor, bias: Tensor) -> Tensor:
-        query, key, value = (split_heads(part(x), self.heads) for part in (self.q_lin, self.k_lin, self.v_lin))
-        return self.out_lin(merge_heads(attend(query, key, value, bias)))
-
-
 class DistilBertLayer(nn.Module):
     """Self-attention and feed-forward (exact GELU), each added and then normalised."""
 
     def __init__(self, config: DistilBertConfig) -> None:
         super().__init__()
         width = config.width
-        self.attention = DistilBertAttention(config)
+        self.attention = NamedSelfAttention(width, config.heads, PROJECTIONS)
         self.sa_layer_norm = nn.LayerNorm(width, eps=EPSILON)
         self.ffn = nn.ModuleDict(
             {"lin1": nn.Linear(width, config.feed_forward), "lin2": nn.Linear(config.feed_forward, width)}
