@@ -4,7 +4,7 @@
 
     ... --cases N                   of each kind (50)
     ... --kinds "path,hand"         some kinds only
-    ... --curve-cases N             of each point of the curves against weight and number of keys (10)
+    ... --curve-cases N             of each point of the curves against weight and number of keys (10; 0 is none)
 
 Each case of `common.constraint_cases` is made three times with one seed: plain, by the energies alone, and with the
 correction after them. Misses are measured here, not taken from the clip. Jerk and skate are ratios to the plain clip,
@@ -301,10 +301,12 @@ def markdown_table(result: Mapping[str, Any]) -> str:
         lines.append(f"| {kind} | " + " | ".join(cells) + " |")
     for kind in [kind for kind, row in result["kinds"].items() if "seams" in row]:
         lines += ["", _seam_line(kind, result["kinds"][kind]["seams"])]
-    lines += ["", "| kind | weight | alone, cm | corrected, cm | jerk | text |", "|---" * 6 + "|"]
+    if result["weights"]:
+        lines += ["", "| kind | weight | alone, cm | corrected, cm | jerk | text |", "|---" * 6 + "|"]
     for row in result["weights"]:
         lines.append(f"| {row['kind']} | {row['weight']:g} | " + _curve_cells(row))
-    lines += ["", "| waypoints | alone, cm | corrected, cm | jerk | text |", "|---" * 5 + "|"]
+    if result["keys"]:
+        lines += ["", "| waypoints | alone, cm | corrected, cm | jerk | text |", "|---" * 5 + "|"]
     for row in result["keys"]:
         lines.append(f"| {row['keys']} | " + _curve_cells(row))
     return "\n".join(lines) + "\n"
@@ -355,8 +357,8 @@ def measure(
         "bundle": f"{pipe.manifest.name} {pipe.manifest.version}",
         "cases": count,
         "kinds": kinds,
-        "weights": weight_curve(pipe, cases, curve_count),
-        "keys": key_curve(pipe, cases["drawn path"], curve_count) if "drawn path" in cases else [],
+        "weights": weight_curve(pipe, cases, curve_count) if curve_count else [],
+        "keys": key_curve(pipe, cases["drawn path"], curve_count) if curve_count and "drawn path" in cases else [],
     }
 
 
