@@ -5,7 +5,8 @@
 The motion is a few walks, turned: cheap to make, and as large as any. Training is what the first batches take: for the
 autoencoder listing the clips, measuring the normalisation, and drawing features; for the denoisers captions, tables,
 latents, and drawing all of them. Captions are not parsed and encoded but made, at a twelfth of the width, which would
-take a day and 10 GB of disk; autoencoders have untrained weights, few channels, and latents as large as any.
+take a day and 10 GB of disk; autoencoders have untrained weights, few channels, and latents as large as any. Of these
+the last `ENCODED` are computed, by blocks as all would be, behind others that are zeros: holes in files of full size.
 """
 
 from __future__ import annotations
@@ -14,13 +15,15 @@ import argparse
 import json
 import resource
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from functools import lru_cache
 from multiprocessing import get_context
 from pathlib import Path
+from typing import Any
 from unittest import mock
 
 import numpy as np
+from numpy.lib.format import open_memmap
 
 from kinegraph_benchmarks.speed.clip_process import peak_memory
 from kinegraph_training.data.folder import PreparedClip
@@ -32,6 +35,8 @@ FRAMES = 20 * SECONDS
 BATCHES = 200
 NODES, WIDTH = 20, 32
 """Of the graph of a made caption; the width of a real one is 384."""
+ENCODED = 4096
+"""Latents that are computed."""
 
 
 @lru_cache(maxsize=1)
@@ -105,11 +110,25 @@ def write_autoencoders(run: Path) -> None:
         torch.save(content, run / f"vae_{level}" / "last.ckpt")
 
 
+def store_behind_holes(folder: Path, stamp: str, shapes: Mapping[str, tuple[int, ...]], compute: Any) -> Any:
+    """Store rows as a run does that was stopped before the last `ENCODED`, and whose rows until there are zeros."""
+    from kinegraph_training.stored_rows import PROGRESS, store_rows
+
+    done = min(shape[0] for shape in shapes.values()) - ENCODED
+    if done > 0 and not (folder / PROGRESS).is_file():
+        folder.mkdir(parents=True)
+        for name, shape in shapes.items():
+            open_memmap(folder / f"{name}.npy", mode="w+", dtype=np.float16, shape=shape)
+        (folder / PROGRESS).write_text(json.dumps({"stamp": stamp, "rows": done}))
+    return store_rows(folder, stamp, shapes, compute)
+
+
 def denoise(work: Path, hours: float) -> None:
     """Do what training the denoisers of the edge preset does before its first step, and draw batches."""
     import torch
 
     from kinegraph.bundle.reader import text_files_folder
+    from kinegraph_training import latents
     from kinegraph_training import train_denoisers as stage
     from kinegraph_training.config import read_preset
     from kinegraph_training.data import caption_cache
@@ -125,8 +144,9 @@ def denoise(work: Path, hours: float) -> None:
         captions = stage.encode_captions(clips, preset.denoiser.condition, text_files_folder(), run)
     stage.write_bundle_tables(run, clips.train, captions)
     stage.write_shown_captions(run, stage.without_motion(clips.train.clips), recorded=stage.read_ids(arguments.data))
-    latents = stage.encode_latents(clips, preset.denoiser.levels, run)
-    batches, _ = stage.make_loaders(clips, captions, latents, preset)
+    with mock.patch.object(latents, "store_rows", store_behind_holes):
+        encoded = stage.encode_latents(clips, preset.denoiser.levels, run)
+    batches, _ = stage.make_loaders(clips, captions, encoded, preset)
     draw(batches)
 
 
