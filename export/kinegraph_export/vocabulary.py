@@ -55,7 +55,7 @@ MIN_CLIPS: Final = 3
 MAX_WORDINGS: Final = 5
 """Wordings of an action that the grammar does not name, taken from its captions."""
 TRUSTED: Final = 0.5
-"""Share of the captured clips of an action from which the classifier's opinion of generated ones counts."""
+"""Share of the captured clips of an action from which the evaluator's opinion of generated ones counts."""
 PARAPHRASE: Final = 0.66
 NEAR: Final = 0.3
 """Cosines of `bundle.vocabulary.Facts`; measured by `kinegraph_benchmarks.quality.unknown_words`."""
@@ -235,7 +235,7 @@ def add_to_bundle(folder: Path, data: bytes) -> None:
 def with_recognition(vocabulary: Vocabulary, report: Path, bundle: Path) -> bytes:
     """Add to each action how often it is recognised; returns the content of `vocabulary.npz`.
 
-    Actions that the classifier does not know in captured clips either (`TRUSTED`) get no share.
+    Actions that the evaluator does not know in captured clips either (`TRUSTED`) get no share.
 
     Args:
         vocabulary: of the bundle.
@@ -251,9 +251,9 @@ def with_recognition(vocabulary: Vocabulary, report: Path, bundle: Path) -> byte
     if name not in measured:
         raise InvalidInputError(f"{report} has measured {', '.join(measured) or 'nothing'}, not {name}")
     shares = {
-        action: round(float(row["generated"]), 2)
+        action: round(float(row["caption"]), 2)
         for action, row in measured[name]["actions"].items()
-        if row["captured"] >= TRUSTED
+        if row["captured_caption"] >= TRUSTED
     }
     phrases = tuple(
         dataclasses.replace(phrase, recognised=shares.get(phrase.name) if phrase.kind == "action" else None)

@@ -59,6 +59,23 @@ def test_shares_are_of_takes() -> None:
     assert recognition.recognised(asked, takes, judge) == [0.5, 1.0]
 
 
+def test_a_caption_is_found_if_no_other_is_as_near() -> None:
+    evaluator: Any = Judge()
+    clips = [*walks(2), *stands(2)]
+    asked = [clip.captions[0] for clip in clips]
+    right, wrong = [walk(44), walk(50), t_pose(40), t_pose(41)], [t_pose(40), walk(44), walk(44), t_pose(40)]
+    assert recognition.found_captions(clips, [(right, asked)], evaluator) == [1.0] * 4
+    assert recognition.found_captions(clips, [(right, asked), (wrong, asked)], evaluator) == [0.5, 1.0, 0.5, 1.0]
+    alike = ["a person walks."] * 4  # what is asked alike cannot be told apart
+    assert recognition.found_captions(clips, [(right, alike)], evaluator) == [0.0] * 4
+
+
+def test_shares_of_an_action_leave_out_clips_that_were_not_judged() -> None:
+    captured = Captured(walks(9), [*walks(3)], frozenset())
+    rows = recognition.by_action(captured, {"caption": [1.0, float("nan"), 0.5], "captured": [float("nan")] * 3})
+    assert rows["walk"]["caption"] == 0.75 and rows["walk"]["captured"] == 0.0 and rows["walk"]["trained"] == 9
+
+
 def test_balance_lets_a_rare_action_count() -> None:
     rng = np.random.default_rng(0)
     common = [clip(n, "walk", walk(40, speed=0.05 + 0.01 * rng.standard_normal())) for n in range(60)]
@@ -105,7 +122,9 @@ def test_one_bundle_is_measured_and_shown(tmp_path: Path) -> None:
     text = recognition.markdown_table(
         {"evaluator": "t", "repeats": 2, "held_out": 6, "bundles": {"a": found, "b": found}}
     )
-    assert "| of captured | 1 | 1.000 | 1.000 |" in text and "| stand | 9 | 3 of trained takes | 1.00 |" in text
+    assert "| of captured | 1 | 1.000 | 1.000 |" in text
+    assert "| stand | 9 | 3 of trained takes | 1.00 | 1.00 | 1.00 | 1.00 | 1.00 | 1.00 |" in text
+    assert found["captions"]["captured"] == found["captions"]["generated"] == 1.0 and not found["captions"]["at_zero"]
 
 
 def test_what_the_autoencoder_keeps_is_a_column(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -122,8 +141,8 @@ def test_what_the_autoencoder_keeps_is_a_column(tmp_path: Path, monkeypatch: pyt
     found = recognition.measure_model(model, captured, judge, evaluator, tmp_path, 1, 2)
     result = {"evaluator": "t", "repeats": 1, "held_out": 6, "bundles": {"a": found}, "autoencoder": kept}
     text = recognition.markdown_table(result)
-    assert "| action | trained | held out | captured | copied | error, mm | a |" in text
-    assert "| stand | 9 | 3 | 1.00 | 1.00 | 0 | 1.00 |" in text
+    assert "| captured | a | classifier: captured | copied | error, mm | a |" in text
+    assert "| stand | 9 | 3 | 1.00 | 1.00 | 1.00 | 1.00 | 0 | 1.00 |" in text
     copies = [np.stack([t_pose(40)[0]] * len(one.joints)) for one in captured.held_out]
     assert recognition.body_error(copies[0], captured.held_out[0].joints) > 0.01
 

@@ -139,7 +139,10 @@ def test_the_command_adds_how_often_actions_are_recognised(tmp_path: Path) -> No
     main(["--data", str(write_folder(tmp_path / "data")), "--bundle", str(bundle)])
     plain = read_bundle(bundle)
     name = f"{plain.manifest.name} {plain.manifest.version}"
-    rows = {"walk": {"generated": 0.667, "captured": 1.0}, "crawl": {"generated": 0.1, "captured": 0.4}}
+    rows = {
+        "walk": {"caption": 0.667, "captured_caption": 1.0, "generated": 0.0, "captured": 0.9},
+        "crawl": {"caption": 0.1, "captured_caption": 0.4, "generated": 1.0, "captured": 1.0},
+    }
     report.write_text(json.dumps({"bundles": {name: {"actions": rows}}}))
     main(["--recognition", str(report), "--bundle", str(bundle)])
     found = read_bundle(bundle).vocabulary

@@ -192,6 +192,7 @@ def test_words_health_metrics_and_the_description_are_there(served: Any, toy: Mo
         *requests._FILE_KEYS,
         *schemas._SHAPE_KEYS,
         *schemas._CONSTRAINT_KEYS,
+        *schemas._SEQUENCE_KEYS,
         *schemas._COMPOSITION_KEYS,
         *schemas._SAMPLING_KEYS,
     }

@@ -244,7 +244,7 @@ def test_info_lists_how_often_actions_are_recognised_where_that_was_measured() -
     phrases = [replace(phrase, recognised=0.25 if phrase.name == "wave" else None) for phrase in facts.phrases]
     known = replace(small_vocabulary(BagEncoder()), facts=replace(facts, phrases=tuple(phrases)))
     text = words_text(words_record(replace(read_bundle(), vocabulary=known)))
-    assert "share of its own clips that a classifier recognises" in text
+    assert "share of its own clips in which it is recognised among 32 actions" in text
     assert re.search(r"wave +4  0\.25  a person waves\n", text) and re.search(
         r"walk +\d+     -  a person walks\n", text
     )

@@ -19,7 +19,14 @@ from kinegraph_benchmarks.common.evaluator import Evaluator
 from kinegraph_benchmarks.common.label_classifier import LABELS, LabelClassifier
 from kinegraph_training import metrics
 from kinegraph_training.data.clips import MotionClip
-from kinegraph_training.metrics import diversity, frechet_distance, label_groups, matching_distance, r_precision
+from kinegraph_training.metrics import (
+    distances,
+    diversity,
+    frechet_distance,
+    label_groups,
+    matching_distance,
+    r_precision,
+)
 from kinegraph_training.synthetic.compositions import resample_linear
 
 GROUP = 32
@@ -132,6 +139,29 @@ def grouped_r_precision(
     groups = [rows for _ in range(DRAWS) for rows in label_groups(labels, GROUP, rng)]
     precision: NDArray[np.float64] = np.mean([r_precision(texts[rows], motions[rows]) for rows in groups], axis=0)
     return precision
+
+
+def caption_hits(
+    texts: FloatArray, motions: FloatArray, labels: Sequence[str], rng: np.random.Generator
+) -> NDArray[np.float64]:
+    """Compute for each motion how often its own caption is the nearest, in groups of distinct labels.
+
+    The other way round than `grouped_r_precision`, and by motion: what a clip looks like most among `GROUP` captions.
+
+    Args:
+        texts, motions, labels, rng: see `grouped_r_precision`.
+
+    Returns:
+        (n,) shares of `DRAWS` ways of grouping; NaN for a motion that no group held.
+    """
+    hits, drawn = np.zeros(len(motions)), np.zeros(len(motions))
+    for _ in range(DRAWS):
+        for rows in label_groups(labels, GROUP, rng):
+            table = distances(texts[rows], motions[rows])
+            hits[rows] += (table <= np.diag(table)).sum(axis=0) == 1
+            drawn[rows] += 1
+    with np.errstate(invalid="ignore"):
+        return hits / drawn
 
 
 def claim_rates(motions: Sequence[FloatArray], captions: Sequence[str]) -> dict[str, float]:

@@ -52,7 +52,8 @@ class Phrase:
     wordings: tuple[str, ...]
     """Ways to say it, as they stand in `ACTION_SENTENCE` or `STYLE_SENTENCE`."""
     recognised: float | None = None
-    """Share of clips made for it that a classifier of captured motion takes for it; None where it was not measured."""
+    """Share of clips made for it that an evaluator of captured motion takes for it, among 32 actions; None where it was
+    not measured."""
 
 
 @dataclass(frozen=True)

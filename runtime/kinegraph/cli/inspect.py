@@ -210,7 +210,7 @@ def words_text(record: Mapping[str, Any]) -> str:
     lines = [f"{title} was shown these, in recorded clips, and their compositions; other words are told"]
     measured = any(phrase["recognised"] is not None for phrase in record["actions"])
     if measured:
-        lines.append("(clips shown, share of its own clips that a classifier recognises, example)")
+        lines.append("(clips shown, share of its own clips in which it is recognised among 32 actions, example)")
     for kind in ("actions", "styles"):
         rows = {
             phrase["name"]: f"{phrase['clips']:>5}  {_share(phrase['recognised'])}{phrase['example']}"
