@@ -102,7 +102,8 @@ def test_no_page_from_elsewhere_is_ever_given_leave(server: PlaygroundClient) ->
 def test_requests_are_bounded(server: PlaygroundClient) -> None:
     response = server.post("/api/parse", {"text": "x" * 70_000})
     assert response.status == 413 and "65536 bytes" in response.json["error"]
-    overstated = server.send("POST", "/api/parse", b"{}", content_type="application/json", content_length="9" * 40)
+    # Without a body: what is sent after the refusal resets the connection, and the answer may be lost with it.
+    overstated = server.send("POST", "/api/parse", b"", content_type="application/json", content_length="9" * 40)
     assert overstated.status in (400, 413)
     body = b'{"text": "%s"}' % (b"x" * 70_000)
     for headers in ({}, {"content_length": "2"}):

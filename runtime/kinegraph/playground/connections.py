@@ -11,6 +11,7 @@ import asyncio
 import errno
 import math
 import socket
+from collections.abc import Callable
 from typing import Any, Final
 
 import h11
@@ -45,6 +46,9 @@ class GuardedServer(uvicorn.Server):
     It is run with sockets that listen, `run(sockets=...)`. The application needs `RequestGuard` in front of it.
     """
 
+    on_ready: Callable[[], None] | None = None
+    """Called once connections are accepted and Ctrl+C ends the server: told before, an interrupt may be lost."""
+
     def __init__(self, app: Any, limits: ServerLimits) -> None:
         self._limits = limits
         self._accepting: list[asyncio.Task[None]] = []
@@ -73,6 +77,8 @@ class GuardedServer(uvicorn.Server):
         # asyncio's own servers accept whatever comes; without sockets uvicorn makes none of them
         await super().startup([])
         self._accepting = [asyncio.create_task(self._accept(listener)) for listener in sockets or ()]
+        if self.on_ready is not None:
+            self.on_ready()
 
     async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
         """Accept no more, and end."""

@@ -8,6 +8,7 @@ import socket
 import threading
 import webbrowser
 from collections.abc import Callable
+from functools import partial
 from typing import Final
 
 from kinegraph.errors import InvalidInputError, KinegraphError, OutputError
@@ -110,7 +111,8 @@ def serve(
     server = Server(playground, port, token=token)
     warm_up(pipeline)
     playground.prepare()
-    on_start(f"http://{reachable_address(host)}:{port}/{'' if token is None else f'#token={token}'}")
+    url = f"http://{reachable_address(host)}:{port}/{'' if token is None else f'#token={token}'}"
+    server.on_ready = partial(on_start, url)
     server.run(sockets=[listener])
 
 

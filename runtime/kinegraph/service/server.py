@@ -6,6 +6,7 @@ import contextlib
 import hmac
 import socket
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 from starlette.middleware import Middleware
@@ -60,9 +61,10 @@ def serve(
     host, port = listener.getsockname()[:2]
     service = Service(pipeline, characters)
     warm_up(pipeline)
-    on_start(f"http://{host if host != '0.0.0.0' else ADDRESS}:{port}/")
+    server = ServiceServer(service, port, token)
+    server.on_ready = partial(on_start, f"http://{host if host != '0.0.0.0' else ADDRESS}:{port}/")
     with contextlib.suppress(KeyboardInterrupt):  # the normal end
-        ServiceServer(service, port, token).run(sockets=[listener])
+        server.run(sockets=[listener])
     return service
 
 
