@@ -30,7 +30,6 @@ from kinegraph.bundle.vocabulary import (
     STYLE_SENTENCE,
     Facts,
     Phrase,
-    Vocabulary,
     pack_vocabulary,
     read_vocabulary,
     sentences_to_embed,
@@ -232,13 +231,13 @@ def add_to_bundle(folder: Path, data: bytes) -> None:
     write_atomically(path, sealed, force=True)
 
 
-def with_recognition(vocabulary: Vocabulary, report: Path, bundle: Path) -> bytes:
+def with_recognition(data: bytes, report: Path, bundle: Path) -> bytes:
     """Add to each action how often it is recognised; returns the content of `vocabulary.npz`.
 
     Actions that the evaluator does not know in captured clips either (`TRUSTED`) get no share.
 
     Args:
-        vocabulary: of the bundle.
+        data: content of `vocabulary.npz` of the bundle.
         report: JSON that `kinegraph_benchmarks.quality.recognition` wrote.
         bundle: folder of the bundle, which the report must have measured.
 
@@ -250,6 +249,7 @@ def with_recognition(vocabulary: Vocabulary, report: Path, bundle: Path) -> byte
     measured = json.loads(report.read_text(encoding="utf-8"))["bundles"]
     if name not in measured:
         raise InvalidInputError(f"{report} has measured {', '.join(measured) or 'nothing'}, not {name}")
+    vocabulary = read_vocabulary(data, manifest.text.width)
     shares = {
         action: round(float(row["caption"]), 2)
         for action, row in measured[name]["actions"].items()
@@ -282,8 +282,7 @@ def main(argv: list[str] | None = None) -> None:
     else:
         data = (options.bundle / FILE).read_bytes()
     if options.recognition:
-        width = decode_manifest((options.bundle / "manifest.json").read_bytes()).text.width
-        data = with_recognition(read_vocabulary(data, width), options.recognition, options.bundle)
+        data = with_recognition(data, options.recognition, options.bundle)
     add_to_bundle(options.bundle, data)
     print(f"{FILE}: {len(data) / 1e3:.0f} kB in {options.bundle}")
 

@@ -212,12 +212,10 @@ def words_text(record: Mapping[str, Any]) -> str:
     if measured:
         lines.append("(clips shown, share of its own clips in which it is recognised among 32 actions, example)")
     for kind in ("actions", "styles"):
-        rows = {
-            phrase["name"]: f"{phrase['clips']:>5}  {_share(phrase['recognised'])}{phrase['example']}"
-            if measured
-            else f"{phrase['clips']:>5}  {phrase['example']}"
-            for phrase in record[kind]
-        }
+        rows = {}
+        for phrase in record[kind]:
+            share = _share(phrase["recognised"]) if measured else ""
+            rows[phrase["name"]] = f"{phrase['clips']:>5}  {share}{phrase['example']}"
         lines += _section(kind, rows)
     return "\n".join(lines)
 

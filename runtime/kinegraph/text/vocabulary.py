@@ -15,7 +15,7 @@ The text encoder runs only where something is unknown, once for all clauses of a
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Final, Protocol
@@ -115,7 +115,7 @@ def find_seldom(graph: SemanticGraph, vocabulary: Vocabulary) -> tuple[str, ...]
     for clause in split_clauses(words, graph):
         if wanted.isdisjoint(words[index].start for index in clause):
             continue
-        said = " ".join(["", *(stem(words[index].text) for index in clause), ""])
+        said = _stems(words[index] for index in clause)
         held = [(len(stems), share, wording) for stems, share, wording in _measured(vocabulary) if stems in said]
         if held:
             _, share, wording = max(held)
@@ -128,11 +128,16 @@ def find_seldom(graph: SemanticGraph, vocabulary: Vocabulary) -> tuple[str, ...]
 def _measured(vocabulary: Vocabulary) -> list[tuple[str, float, str]]:
     """List stems, share and text of each wording of the actions that were measured."""
     return [
-        (" ".join(["", *(stem(word.text) for word in split_words(wording)), ""]), phrase.recognised, wording)
+        (_stems(split_words(wording)), phrase.recognised, wording)
         for phrase in vocabulary.facts.phrases
         if phrase.recognised is not None
         for wording in phrase.wordings
     ]
+
+
+def _stems(words: Iterable[Word]) -> str:
+    """Join the stems of words with spaces between and around them, so that one text holds another by whole words."""
+    return f" {' '.join(stem(word.text) for word in words)} "
 
 
 class _Finder:
