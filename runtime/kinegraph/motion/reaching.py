@@ -2,10 +2,11 @@
 
 A latent comes within a centimetre or two of what constraints want. `reach` closes the rest in the joints themselves:
 
-1. the whole body moves over the floor by the path of least jerk (Flash & Hogan, 1985) through what the pelvis misses;
+1. the whole body moves over the floor by a smoothing spline (Reinsch, 1967) through what the pelvis misses;
 2. planted feet are locked where they now stand, or have to stand (`postprocess.lock_feet`);
-3. other joints follow paths of least jerk through what they miss, and the body follows them by position-based dynamics
-   (Müller et al., 2007) with rigid bones, in rounds that aim past the target by what the round before missed.
+3. pelvis, hips and the lowest vertebra move together by what the pelvis still misses, other joints by splines through
+   what they miss; the body follows by position-based dynamics (Müller et al., 2007) with rigid bones, in rounds that
+   aim past the target by what the round before missed.
 """
 
 from __future__ import annotations
@@ -18,12 +19,18 @@ from numpy.typing import NDArray
 
 from kinegraph.arrays import DoubleArray, FloatArray, Floats
 from kinegraph.motion.postprocess import bend_to_lengths, lock_feet
-from kinegraph.motion.skeleton import PELVIS
+from kinegraph.motion.skeleton import JOINT_INDEX, LEFT_HIP, PELVIS, RIGHT_HIP
 
-METRES_PER_JERK: Final = 0.01
-"""Metres of displacement that cost as much as a jerk of 1 m/s^3: it comes and goes within about half a second."""
-SLACK: Final = 3e-4
-"""Metres off its path that cost a body as much as a jerk of 1 m/s^3: it cuts corners by millimetres, not its pelvis."""
+METRES_PER_ACCELERATION: Final = 0.02
+"""Metres of displacement that cost as much as an acceleration of 1 m/s^2: it comes and goes within about half a second.
+
+Acceleration and not jerk: beyond the last frames of a start pose a displacement keeps its velocity, which fades. A path
+of least jerk kept its acceleration, too; that of frames that are missed by millimetres is noise, and threw hips 6 cm.
+"""
+SLACK: Final = 0.01
+"""Metres off its path that cost a body as much as an acceleration of 1 m/s^2: it cuts corners, not its pelvis."""
+PELVIC: Final = (PELVIS, LEFT_HIP, RIGHT_HIP, JOINT_INDEX["spine1"])
+"""Joints that move as one when the pelvis has to be elsewhere: alone it would tilt, 6 degrees for each centimetre."""
 ROUNDS: Final = 8
 """Rounds of aiming at what joints still miss."""
 SWEEPS: Final = 10
@@ -79,6 +86,7 @@ def reach(joints: Floats, pins: Pins, lengths: FloatArray, fps: float, *, foot_f
         wanted = pins.wanted[at]
         held = wanted | displaced[at, :, None]
         held[:, PELVIS, [0, 2]] = True  # a hand does not move the body over the floor
+        held[:, PELVIC] |= wanted[:, [PELVIS]]
         moved[at] = _pull(moved[at], moved[at] + displacement[at], wanted, held, lengths)
     return moved.astype(np.float32)
 
@@ -86,14 +94,15 @@ def reach(joints: Floats, pins: Pins, lengths: FloatArray, fps: float, *, foot_f
 def smooth_field(known: Floats, at: NDArray[np.bool_], fps: float, slack: float = 0.0) -> DoubleArray:
     """Fill in displacements between the frames where they are known, and let them fade away beside.
 
-    s minimises sum |D^3 s|^2 + (s / `METRES_PER_JERK`)^2, with D^3 the third derivative and s as known at its frames;
-    with a slack, ((s - known) / slack)^2 is added there instead.
+    s minimises sum |D^2 s|^2 + (s / `METRES_PER_ACCELERATION`)^2, with D^2 the second derivative and s as known at its
+    frames: a natural cubic spline (Holladay, 1957) that fades. With a slack, ((s - known) / slack)^2 is added there
+    instead: a smoothing spline (Reinsch, 1967).
 
     Args:
         known: (frames, n); only the rows at `at` count.
         at: (frames,) where it is known.
         fps: frames per second.
-        slack: metres off a known displacement that cost as much as a jerk of 1 m/s^3; 0 is none.
+        slack: metres off a known displacement that cost as much as an acceleration of 1 m/s^2; 0 is none.
 
     Returns:
         (frames, n).
@@ -102,13 +111,13 @@ def smooth_field(known: Floats, at: NDArray[np.bool_], fps: float, slack: float 
     free = ~at
     if not at.any() or not (free.any() or slack):
         return field
-    third = np.diff(np.eye(len(at)), n=3, axis=0) * fps**3
+    second = np.diff(np.eye(len(at)), n=2, axis=0) * fps**2
     if slack:
-        pull = np.where(at, slack**-2, METRES_PER_JERK**-2)
-        return np.asarray(np.linalg.solve(third.T @ third + np.diag(pull), pull[:, None] * field))
-    unknown = third[:, free]
-    normal = unknown.T @ unknown + np.eye(int(free.sum())) / METRES_PER_JERK**2
-    field[free] = -np.linalg.solve(normal, unknown.T @ (third[:, at] @ field[at]))
+        pull = np.where(at, slack**-2, METRES_PER_ACCELERATION**-2)
+        return np.asarray(np.linalg.solve(second.T @ second + np.diag(pull), pull[:, None] * field))
+    unknown = second[:, free]
+    normal = unknown.T @ unknown + np.eye(int(free.sum())) / METRES_PER_ACCELERATION**2
+    field[free] = -np.linalg.solve(normal, unknown.T @ (second[:, at] @ field[at]))
     return field
 
 
@@ -127,12 +136,19 @@ def _root_displacement(joints: Floats, pins: Pins, fps: float) -> DoubleArray:
 
 
 def _joint_displacements(joints: Floats, pins: Pins, fps: float) -> DoubleArray:
-    """Compute displacements (frames, 22, 3) through what each joint misses; joints of the same frames together."""
-    displacement = np.zeros(joints.shape)
+    """Compute displacements (frames, 22, 3) through what each joint misses, `PELVIC` ones along with the pelvis."""
     missed = pins.missed(joints)
-    columns = pins.wanted.reshape(len(joints), -1)
-    flat = missed.reshape(len(joints), -1)
-    out = displacement.reshape(len(joints), -1)
+    along = np.zeros(joints.shape)
+    along[:, PELVIC] = _spread(missed[:, [PELVIS]], pins.wanted[:, [PELVIS]], fps)
+    return along + _spread(np.where(pins.wanted, missed - along, 0.0), pins.wanted, fps)
+
+
+def _spread(missed: Floats, wanted: NDArray[np.bool_], fps: float) -> DoubleArray:
+    """Spread what joints miss at the frames where they are wanted over the others; all are (frames, joints, 3)."""
+    displacement = np.zeros(missed.shape)
+    columns = wanted.reshape(len(missed), -1)
+    flat, out = missed.reshape(len(missed), -1), displacement.reshape(len(missed), -1)
+    # joints of the same frames together
     for pattern in {columns[:, index].tobytes() for index in np.flatnonzero(columns.any(axis=0))}:
         at = np.frombuffer(pattern, dtype=np.bool_)
         same = np.flatnonzero((columns == at[:, None]).all(axis=0))
