@@ -28,6 +28,6 @@ class MakeClips:
 
 FOLDER.mkdir(exist_ok=True)
 rows = ray.data.from_items([{"text": text, "seed": seed} for seed, text in enumerate(SENTENCES)])
-made = rows.map(MakeClips, concurrency=2, num_cpus=1).take_all()
+made = rows.map(MakeClips, compute=ray.data.ActorPoolStrategy(size=2), num_cpus=1).take_all()
 for record in sorted(made, key=lambda record: record["seed"]):
     print(f"{record['file']}: {record['frames']} frames, {record['text']}")

@@ -11,6 +11,7 @@ from typing import Any
 from kinegraph.bundle.manifest import Manifest, describe_file, encode_manifest
 from kinegraph.bundle.onnx_inspect import summarise
 from kinegraph.bundle.reader import MANIFEST
+from kinegraph.files import write_atomically
 
 
 def with_graphs(
@@ -36,9 +37,13 @@ def with_graphs(
 
 
 def write_files(folder: Path, manifest: Manifest, files: Mapping[str, bytes] | None = None) -> None:
-    """Write files into a bundle's folder, and its manifest after them."""
+    """Write files into a bundle's folder, each at once, and its manifest after them.
+
+    Raises:
+        OutputError: the folder cannot be written.
+    """
     for name, data in {**(files or {}), MANIFEST: encode_manifest(manifest)}.items():
-        (folder / name).write_bytes(data)
+        write_atomically(folder / name, data)
 
 
 @contextmanager
@@ -56,7 +61,7 @@ def unchanged_if_it_fails(folder: Path, names: Collection[str]) -> Iterator[None
     except BaseException:
         for path in paths:
             if path in before:
-                path.write_bytes(before[path])
+                write_atomically(path, before[path])
             else:
                 path.unlink(missing_ok=True)
         raise

@@ -22,8 +22,8 @@ from typing import Final
 import numpy as np
 
 from kinegraph.arrays import FloatArray
-from kinegraph.bundle.manifest import decode_manifest, describe_file, encode_manifest
-from kinegraph.bundle.reader import text_files_folder
+from kinegraph.bundle.manifest import decode_manifest, describe_file
+from kinegraph.bundle.reader import MANIFEST, text_files_folder
 from kinegraph.bundle.vocabulary import (
     ACTION_SENTENCE,
     FILE,
@@ -35,9 +35,9 @@ from kinegraph.bundle.vocabulary import (
     sentences_to_embed,
 )
 from kinegraph.errors import InvalidInputError
-from kinegraph.files import write_atomically
 from kinegraph.graph import SemanticGraph
 from kinegraph.text.words import FUNCTION, LIGHT_VERBS, PERSONS, combinations, split_clauses, split_words, stem
+from kinegraph_export.bundle_changes import unchanged_if_it_fails, write_files
 from kinegraph_training.data.caption_cache import CaptionEncoder
 from kinegraph_training.data.shown_captions import ShownCaptions, read_data_captions
 from kinegraph_training.synthetic.caption_grammar import (
@@ -221,14 +221,12 @@ def add_to_bundle(folder: Path, data: bytes) -> None:
 
     Raises:
         BundleFormatError, BundleIntegrityError: the manifest is broken.
-        OutputError: the folder cannot be written.
+        OutputError: the folder cannot be written; the bundle stays as it was.
     """
-    path = folder / "manifest.json"
-    manifest = decode_manifest(path.read_bytes())
+    manifest = decode_manifest((folder / MANIFEST).read_bytes())
     files = dict(sorted({**manifest.files, FILE: describe_file(data)}.items()))
-    sealed = encode_manifest(dataclasses.replace(manifest, files=files))
-    write_atomically(folder / FILE, data, force=True)
-    write_atomically(path, sealed, force=True)
+    with unchanged_if_it_fails(folder, [FILE]):
+        write_files(folder, dataclasses.replace(manifest, files=files), {FILE: data})
 
 
 def with_recognition(data: bytes, report: Path, bundle: Path) -> bytes:
@@ -244,7 +242,7 @@ def with_recognition(data: bytes, report: Path, bundle: Path) -> bytes:
     Raises:
         InvalidInputError: the report is of other bundles.
     """
-    manifest = decode_manifest((bundle / "manifest.json").read_bytes())
+    manifest = decode_manifest((bundle / MANIFEST).read_bytes())
     name = f"{manifest.name} {manifest.version}"
     measured = json.loads(report.read_text(encoding="utf-8"))["bundles"]
     if name not in measured:

@@ -11,7 +11,7 @@ import pytest
 from kinegraph.motion.skeleton import start_at_origin
 from kinegraph_benchmarks.common.label_classifier import LabelClassifier
 from kinegraph_benchmarks.quality import recognition
-from kinegraph_benchmarks.quality.recognition import Captured
+from kinegraph_benchmarks.quality.recognition import Captured, EmbeddedTake
 from kinegraph_training.data.clips import MotionClip
 from kinegraph_training.data.common_skeleton import rest_directions, to_common_skeleton
 from kinegraph_training.data.folder import PreparedClip, write_data
@@ -63,11 +63,13 @@ def test_a_caption_is_found_if_no_other_is_as_near() -> None:
     evaluator: Any = Judge()
     clips = [*walks(2), *stands(2)]
     asked = [clip.captions[0] for clip in clips]
-    right, wrong = [walk(44), walk(50), t_pose(40), t_pose(41)], [t_pose(40), walk(44), walk(44), t_pose(40)]
-    assert recognition.found_captions(clips, [(right, asked)], evaluator) == [1.0] * 4
-    assert recognition.found_captions(clips, [(right, asked), (wrong, asked)], evaluator) == [0.5, 1.0, 0.5, 1.0]
-    alike = ["a person walks."] * 4  # what is asked alike cannot be told apart
-    assert recognition.found_captions(clips, [(right, alike)], evaluator) == [0.0] * 4
+    motions = [walk(44), walk(50), t_pose(40), t_pose(41)]
+    right = EmbeddedTake.of(motions, asked, evaluator)
+    wrong = EmbeddedTake.of([t_pose(40), walk(44), walk(44), t_pose(40)], asked, evaluator)
+    assert recognition.found_captions(clips, [right]) == [1.0] * 4
+    assert recognition.found_captions(clips, [right, wrong]) == [0.5, 1.0, 0.5, 1.0]
+    alike = EmbeddedTake.of(motions, ["a person walks."] * 4, evaluator)  # what is asked alike cannot be told apart
+    assert recognition.found_captions(clips, [alike]) == [0.0] * 4
 
 
 def test_shares_of_an_action_leave_out_clips_that_were_not_judged() -> None:

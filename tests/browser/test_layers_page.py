@@ -81,6 +81,18 @@ def test_a_concept_counts_for_the_sentences_that_it_touches(
     assert bars(page)[0].startswith("not turns left")
 
 
+def test_nothing_is_offered_to_cut_where_a_sentence_would_be_too_short(
+    open_page: Open, server: PlaygroundClient
+) -> None:
+    layer = {"text": "a person turns left", "begin": 0.5, "end": 1.5, "weight": 1}
+    scene = {"texts": json.dumps(TEXTS), "seconds": "2,1", "seed": 3, "steps": 2, "layers": json.dumps([layer])}
+    page = open_page(f"{server.url}#{urlencode(scene)}", 900, 620)
+    wait_until(page, lambda: clips_shown(page) == 1)
+    page.locator(".bar-of").click()
+    assert "counts from 0.0 to 2.0 s" in page.locator(".inspector.layer").inner_text()
+    assert page.get_by_role("button", name="Cut the sentences to its span").count() == 0
+
+
 def test_sentences_are_cut_to_the_span_of_a_concept_and_keep_their_seeds(
     open_page: Open, server: PlaygroundClient, pipe: MotionPipeline
 ) -> None:

@@ -27,6 +27,13 @@ def begin(open_page: Open, server: PlaygroundClient) -> Page:
     return page
 
 
+def seed_of(page: Page) -> str:
+    """The seed of the clip that is seen, as the page tells it."""
+    found = re.search(r"seed (\d+)", page.locator(".facts").inner_text())
+    assert found is not None
+    return found[1]
+
+
 def wait_made(page: Page, count: int) -> None:
     wait_until(page, lambda: clips_shown(page) >= count)
 
@@ -56,6 +63,24 @@ def test_three_sentences_follow_one_another(open_page: Open, server: PlaygroundC
     page.reload()
     page.wait_for_selector("html[data-shown]", state="attached")
     assert segments(page) == ["walks 2.0 s", "bows 2.0 s", "stands still 2.0 s"]
+
+
+def test_enter_makes_only_the_changed_sentence_anew_and_pressed_again_another_take(
+    open_page: Open, server: PlaygroundClient
+) -> None:
+    page = open_page(server.url, 900, 620)
+    generate(page, "a person walks", seconds="2", steps="2")
+    seed = seed_of(page)
+    page.get_by_role("button", name="+ Sentence").click()
+    wait_made(page, 2)
+    page.get_by_label("What should the person do?").fill("a person bows")
+    page.get_by_label("What should the person do?").press("Enter")
+    wait_made(page, 3)
+    assert seed_of(page) == seed
+    assert page.locator(".facts").inner_text().endswith("made anew: sentence 2 of 2")
+    page.get_by_label("What should the person do?").press("Enter")  # nothing has changed since
+    wait_made(page, 4)
+    assert seed_of(page) != seed
 
 
 def test_segments_are_stretched_reordered_and_cut_with_the_mouse(open_page: Open, server: PlaygroundClient) -> None:

@@ -11,11 +11,19 @@ import pytest
 pytest.importorskip("torch")
 pytest.importorskip("spacy")
 
-from kinegraph.bundle.reader import read_bundle
+from kinegraph.bundle.reader import MANIFEST, read_bundle
 from kinegraph.bundle.vocabulary import FILE, read_vocabulary, sentences_to_embed
-from kinegraph.errors import InvalidInputError
+from kinegraph.errors import InvalidInputError, OutputError
 from kinegraph.text.vocabulary import find_unknown
-from kinegraph_export.vocabulary import build_vocabulary, drop_rare, main, sentence_embedding, training_captions
+from kinegraph_export import bundle_changes
+from kinegraph_export.vocabulary import (
+    add_to_bundle,
+    build_vocabulary,
+    drop_rare,
+    main,
+    sentence_embedding,
+    training_captions,
+)
 from kinegraph_training.data.caption_cache import CaptionEncoder
 from kinegraph_training.data.clips import MotionClip
 from kinegraph_training.data.shown_captions import (
@@ -132,6 +140,24 @@ def test_the_command_adds_it_to_a_bundle_and_seals_the_manifest(tmp_path: Path) 
         assert found.vocabulary is not None and found.vocabulary.facts.phrases[0].clips == 3
     after = {path.name: path.read_bytes() for path in bundle.iterdir()}
     assert {name for name in after if after[name] != before.get(name)} == {FILE, "manifest.json"}
+
+
+def test_a_bundle_stays_what_it_was_if_its_manifest_cannot_be_written(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    bundle = with_parser(tmp_path / "bundle")
+    before = {path.name: path.read_bytes() for path in bundle.iterdir()}
+    write = bundle_changes.write_atomically
+
+    def full(path: Path, data: bytes) -> None:
+        if path.name == MANIFEST and data != before[MANIFEST]:
+            raise OutputError(f"{path}: the disk is full")
+        write(path, data)
+
+    monkeypatch.setattr(bundle_changes, "write_atomically", full)
+    with pytest.raises(OutputError, match="the disk is full"):
+        add_to_bundle(bundle, b"words")
+    assert {path.name: path.read_bytes() for path in bundle.iterdir()} == before
 
 
 def test_the_command_adds_how_often_actions_are_recognised(tmp_path: Path) -> None:

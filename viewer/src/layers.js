@@ -11,7 +11,7 @@ const NEW = "a person waves the right hand";
 
 /**
  * @param box the timeline, with `.layers`, `.inspector.layer` and `.add-layer`
- * @param on {change(layers), selected() one of them, now() seconds, cut(layer) sentences where it begins and ends}
+ * @param on {change(layers), selected() one of them, now() seconds, cut(layer) sentences where it begins and ends, canCut(layer)}
  */
 export function createLayers(box, on) {
   const [tracks, inspector, add] = [".layers", ".inspector.layer", ".add-layer"].map((name) => box.querySelector(name));
@@ -100,14 +100,14 @@ export function createLayers(box, on) {
     const [from, to] = reach(layer, edges);
     const wider = isWider(layer, from, to) && [
       element("p", {}, `It counts from ${from.toFixed(1)} to ${to.toFixed(1)} s: a sentence is made as a whole.`),
-      element("button", { type: "button", onclick: () => cut(at) }, "Cut the sentences to its span"),
+      on.canCut(layer) && element("button", { type: "button", onclick: () => cut(at) }, "Cut the sentences to its span"),
     ];
     return inspector.replaceChildren(
       field("Words", { value: layer.text, maxlength: 512, autocomplete: "off" }, (now, text) => ({ ...now, text })),
       field("Weight", { type: "number", step: 0.1, min: -LIMIT, max: LIMIT, value: layer.weight, title: "Below zero means not" }, (now, weight) => ({ ...now, weight: Math.min(Math.max(weight, -LIMIT), LIMIT) || 1 })),
       seconds("Begin", "begin"),
       seconds("End", "end"),
-      ...(wider || []),
+      ...(wider || []).filter(Boolean),
       element("button", { type: "button", onclick: () => remove(at) }, "Delete the concept"),
     );
   }

@@ -18,7 +18,7 @@ import { fittedLayers, MOST_LAYERS } from "./layering.js";
 import { linked, linkOf } from "./link.js";
 import { createMaker } from "./maker.js";
 import { createOutput } from "./output.js";
-import { cutAt, edges, inserted, kindOf, newProject, projectOf, segmentAt, wishOf } from "./project.js";
+import { cutAt, edges, inserted, isSequence, kindOf, newProject, projectOf, segmentAt, wishOf } from "./project.js";
 import { createProjectFiles } from "./project_file.js";
 import { createResult } from "./result.js";
 import { createTakes } from "./takes.js";
@@ -96,6 +96,10 @@ export async function openPlayground(side, play, stage, transport, clock) {
     selected: constraining.deselect,
     now: () => timeline.now,
     cut: cutTo,
+    canCut: (layer) => {
+      const known = timeline.timed();
+      return cutToSpan(known, layer) !== known;
+    },
     change: (changed) => change({ ...timeline.timed(), layers: changed.slice(0, MOST_LAYERS) }, selected),
   });
   const projectFiles = createProjectFiles(at(".tools .menu"), history, { opened: () => go(history.now), fresh, fail });
@@ -267,12 +271,13 @@ export async function openPlayground(side, play, stage, transport, clock) {
     make(next, { changes: true, own: sameSeed(next) });
   }
 
-  /** Cut sentences where a concept begins and ends, so that it counts for its span alone. */
-  function cutTo({ begin, end }) {
-    const known = timeline.timed();
-    const next = cutAt(cutAt(known, begin, play.seconds[0]), end, play.seconds[0]);
-    if (next === known) maker.say(`A sentence lasts ${play.seconds[0]} s or longer: there is nothing to cut`);
-    else change(next, segmentAt(next, begin).at);
+  /** Sentences cut where a concept begins and ends, as far as each stays long enough. */
+  const cutToSpan = (known, { begin, end }) => cutAt(cutAt(known, begin, play.seconds[0]), end, play.seconds[0]);
+
+  /** Cut sentences so that a concept counts for its span alone. */
+  function cutTo(layer) {
+    const next = cutToSpan(timeline.timed(), layer);
+    change(next, segmentAt(next, layer.begin).at);
   }
 
   /** Other constraints: while one is dragged, drafts and the clip where it rests; else the clip, a draft before it. */
@@ -389,7 +394,9 @@ export async function openPlayground(side, play, stage, transport, clock) {
 
   form.element.addEventListener("submit", (event) => {
     event.preventDefault();
-    make(read());
+    const next = read();
+    const changes = isSequence(next) && seed !== null && !made.has(JSON.stringify(wishOf(next, seed)));
+    make(next, changes ? { changes, own: sameSeed(next) } : {});
   });
   at(".cancel").addEventListener("click", maker.cancel);
   at(".keep").addEventListener("click", () => {

@@ -121,17 +121,25 @@ def recognised(
     return shares
 
 
-def found_captions(
-    clips: Sequence[MotionClip], takes: Sequence[tuple[Sequence[FloatArray], Sequence[str]]], evaluator: Evaluator
-) -> list[float]:
-    """Compute for each clip the share of takes, motions with their captions, that are nearest to their own of 32."""
+@dataclass(frozen=True)
+class EmbeddedTake:
+    """One motion for each held-out clip in the evaluator's space, beside the caption that it was asked for with."""
+
+    motions: FloatArray
+    """(n, e)"""
+    captions: FloatArray
+    """(n, e)"""
+
+    @classmethod
+    def of(cls, motions: Sequence[FloatArray], captions: Sequence[str], evaluator: Evaluator) -> EmbeddedTake:
+        """Embed motions (frames, 22, 3) and captions."""
+        return cls(evaluator.embed_motions(motions), evaluator.embed_captions(captions))
+
+
+def found_captions(clips: Sequence[MotionClip], takes: Sequence[EmbeddedTake]) -> list[float]:
+    """Compute for each clip the share of takes whose motion is nearest to its own caption of 32."""
     labels = [f"{clip.action}/{clip.style}" for clip in clips]
-    shares = [
-        caption_hits(
-            evaluator.embed_captions(captions), evaluator.embed_motions(motions), labels, np.random.default_rng(1)
-        )
-        for motions, captions in takes
-    ]
+    shares = [caption_hits(take.captions, take.motions, labels, np.random.default_rng(1)) for take in takes]
     found: list[float] = np.mean(shares, axis=0).tolist()
     return found
 
@@ -217,16 +225,19 @@ def measure_spread(model: Model, captured: Captured, evaluator: Evaluator, takes
     return rows
 
 
-def embedded_scores(
-    clips: Sequence[MotionClip], motions: Sequence[FloatArray], captions: Sequence[str], evaluator: Evaluator
-) -> dict[str, float]:
-    """Score one motion a clip in the evaluator's space: R-precision among 32 labels, FID, MM-Dist."""
-    made, texts = evaluator.embed_motions(motions), evaluator.embed_captions(captions)
+def embedded_scores(clips: Sequence[MotionClip], take: EmbeddedTake, captured: FloatArray) -> dict[str, float]:
+    """Score one motion a clip in the evaluator's space: R-precision among 32 labels, FID, MM-Dist.
+
+    Args:
+        clips: captured.
+        take: what was made for them.
+        captured: embeddings (n, e) of their own motions.
+    """
     labels = [f"{clip.action}/{clip.style}" for clip in clips]
-    hits = grouped_r_precision(texts, made, labels, np.random.default_rng(1))
+    hits = grouped_r_precision(take.captions, take.motions, labels, np.random.default_rng(1))
     scores = {f"r_precision_{top}": float(hit) for top, hit in enumerate(hits, start=1)}
-    scores["fid"] = frechet_distance(made, evaluator.embed_motions([clip.joints for clip in clips]))
-    scores["mm_dist"] = matching_distance(texts, made)
+    scores["fid"] = frechet_distance(take.motions, captured)
+    scores["mm_dist"] = matching_distance(take.captions, take.motions)
     return scores
 
 
@@ -248,21 +259,23 @@ def measure_model(
     folder = cache_folder(model, work, "held_out", clips, {})
     takes_made = (load_or_generate(model, clips, take, folder) for take in range(repeats))
     made = [(on_body_of(clips, motions), captions) for motions, captions in takes_made]
-    joints, captions = [clip.joints for clip in clips], [clip.captions[0] for clip in clips]
+    joints = [clip.joints for clip in clips]
+    real = EmbeddedTake.of(joints, [clip.captions[0] for clip in clips], evaluator)
+    embedded = [EmbeddedTake.of(motions, captions, evaluator) for motions, captions in made]
     shares = {
-        "captured_caption": found_captions(clips, [(joints, captions)], evaluator),
-        "caption": found_captions(clips, made, evaluator),
+        "captured_caption": found_captions(clips, [real]),
+        "caption": found_captions(clips, embedded),
         "captured": recognised(clips, [joints], judge),
         "generated": recognised(clips, [motions for motions, _ in made], judge),
     }
     rows = by_action(captured, shares)
-    scores = [embedded_scores(clips, motions, captions, evaluator) for motions, captions in made]
+    scores = [embedded_scores(clips, take, real.motions) for take in embedded]
     spread = measure_spread(model, captured, evaluator, takes)
     return {
         "recognition": summarise(rows),
         "captions": summarise(rows, "captured_caption", "caption"),
         "scores": {name: float(np.mean([row[name] for row in scores])) for name in scores[0]},
-        "captured_scores": embedded_scores(clips, joints, captions, evaluator),
+        "captured_scores": embedded_scores(clips, real, real.motions),
         "spread": {
             name: float(np.mean([row[name] for row in spread.values()])) for name in next(iter(spread.values()))
         },
