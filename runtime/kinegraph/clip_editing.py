@@ -15,29 +15,38 @@ from kinegraph.constrained_denoising import EncodedClip, Wanted
 from kinegraph.constraints import POSE_SECONDS, Constraint, EndPose, Keyframe, StartPose
 from kinegraph.denoising import LatentSampler
 from kinegraph.errors import InvalidInputError
+from kinegraph.frame_denoising import FrameSampler
+from kinegraph.frame_inpainting import encode_frames
 from kinegraph.keeping import check_keep
 from kinegraph.motion.body_frame import BodyFrame
 from kinegraph.motion.features import features_from_joints
 from kinegraph.motion.resampling import resample
 from kinegraph.motion.skeleton import start_at_origin
+from kinegraph.options import LATENT
 from kinegraph.validation import finite_number, short_repr
 
 if TYPE_CHECKING:
     from kinegraph.pipeline import MotionPipeline
 
 
-def check_edit(clip: object, keep: object, strength: object, wanted: Wanted | None, sampler: LatentSampler) -> Wanted:
+def check_edit(
+    clip: object, keep: object, strength: object, wanted: Wanted, sampler: LatentSampler
+) -> tuple[Wanted, float]:
     """Check an edit, and encode the clip that is edited.
 
     Args:
         clip: the one to edit.
         keep: see `keeping.check_keep`.
         strength: share of the steps of the finest level that are taken, above 0 to 1.
-        wanted: further constraints.
+        wanted: further constraints, if any.
         sampler: of the bundle.
 
+    Returns:
+        What is wanted, and the seconds of the result.
+
     Raises:
-        InvalidInputError: not a clip, nothing to keep, a strength that is none, or a bundle without an encoder.
+        InvalidInputError: not a clip, nothing to keep or to change, a strength that is none, or a bundle without an
+            encoder, which latent space needs.
     """
     if not isinstance(clip, Clip):
         raise InvalidInputError(
@@ -47,7 +56,7 @@ def check_edit(clip: object, keep: object, strength: object, wanted: Wanted | No
     if share is None or not 0 < share <= 1:
         raise InvalidInputError(f"strength must be above 0 and at most 1, not {short_repr(strength)}")
     manifest = sampler.manifest
-    if sampler.sessions.encoder is None:
+    if sampler.space == LATENT and sampler.sessions.encoder is None:
         raise InvalidInputError(
             f"bundle {manifest.name} {manifest.version} has no encoder, which edits of clips need; take another "
             "one, or add the graph: python -m kinegraph_export.add_gradients"
@@ -60,9 +69,9 @@ def check_edit(clip: object, keep: object, strength: object, wanted: Wanted | No
             f"the clip has {frames / manifest.fps:g} s; this bundle edits clips of {shortest:g} to {longest:g} s"
         )
     kept = check_keep(keep, joints, manifest.fps)
-    begin = EncodedClip(encode(joints, sampler), share)
-    wanted = wanted or Wanted((), 1.0, True, False)
-    return replace(wanted, kept=kept, begin=begin)
+    latent = encode_frames(joints, sampler) if isinstance(sampler, FrameSampler) else encode(joints, sampler)
+    begin = EncodedClip(latent, share)
+    return replace(wanted, kept=kept, begin=begin), frames / manifest.fps
 
 
 def encode(joints: FloatArray, sampler: LatentSampler) -> FloatArray:

@@ -42,7 +42,7 @@ from kinegraph.motion.features import joints_from_features, joints_vjp
 from kinegraph.motion.postprocess import enforce_bone_lengths, find_contacts, lock_feet
 from kinegraph.motion.reaching import Pins, reach
 from kinegraph.motion.skeleton import bone_lengths
-from kinegraph.options import GenerateOptions
+from kinegraph.options import LATENT, GenerateOptions
 from kinegraph.placements import misses_of, pins_of
 from kinegraph.validation import check_flag, finite_number, short_repr
 
@@ -98,7 +98,8 @@ class Wanted:
         """Check everything that needs no clip.
 
         Raises:
-            InvalidInputError: no constraints, a weight that is none, or a bundle without gradients of its decoders.
+            InvalidInputError: no constraints, a weight that is none, a bundle of other features, or one without
+                gradients of its decoders, which latent space needs.
         """
         manifest = sampler.manifest
         check_flag(fix, "constraint_fix")
@@ -108,7 +109,9 @@ class Wanted:
                 f"constraint_weight must be 0 to {MAX_WEIGHT:g}, not {short_repr(weight)}; 1 is usual, 0 is without"
             )
         checked, _ = check_constraints(constraints, manifest.frames.max, manifest.fps)
-        require_gradients(sampler)
+        if sampler.space == LATENT:
+            require_gradients(sampler)
+        require_layout(manifest)
         return Wanted(checked, number, bool(fix), strict)
 
     def for_clip(self, frames: int, fps: float) -> Wanted:
@@ -165,7 +168,7 @@ def require_gradients(sampler: LatentSampler) -> None:
     """Refuse a bundle that cannot be pulled.
 
     Raises:
-        InvalidInputError: it has no gradients of its decoders, or other features.
+        InvalidInputError: it has no gradients of its decoders.
     """
     manifest = sampler.manifest
     if not sampler.sessions.decoder_gradients:
@@ -173,9 +176,13 @@ def require_gradients(sampler: LatentSampler) -> None:
             f"bundle {manifest.name} {manifest.version} has no gradients of its decoders, which constraints need; "
             "leave them out, or add the graphs: python -m kinegraph_export.add_gradients"
         )
+
+
+def require_layout(manifest: Manifest) -> None:
+    """Refuse a bundle (`InvalidInputError`) whose features are of another layout than joints-137."""
     if manifest.features.layout != "joints-137":
         layout = manifest.features.layout
-        raise InvalidInputError(f"constraints need features of the layout joints-137, not {layout}")
+        raise InvalidInputError(f"constraints and edits need features of the layout joints-137, not {layout}")
 
 
 def sample_constrained(
@@ -204,13 +211,21 @@ def sample_constrained(
         Cancelled, NonFiniteError: as in `denoising.sample_hierarchy`.
         InvalidInputError: with `strict`, a constraint was missed by more than `MISSED`.
     """
-    fps = sampler.manifest.fps
     if wanted.acts:
         joints = _sample_joints(sampler, decoder, conditions, weights, options, wanted, on_step, on_latent)
     else:
         latents = sampler.sample(conditions, weights, [options], on_step, on_latent)
         joints = decoder.decode(latents, [options], [caption])[0].joints
-    misses = wanted.misses(joints, fps)
+    return told_clip(joints, wanted, options, caption, sampler.manifest)
+
+
+def told_clip(joints: FloatArray, wanted: Wanted, options: GenerateOptions, caption: str, manifest: Manifest) -> Clip:
+    """Make the clip of joints (frames, 22, 3) that tells how far it is from what was wanted.
+
+    Raises:
+        InvalidInputError: with `strict`, a constraint was missed by more than `MISSED`.
+    """
+    misses = wanted.misses(joints, manifest.fps)
     weights_of = [constraint.weight for constraint in wanted.constraints] + [1.0] * (wanted.kept is not None)
     missed = tuple(
         f"{miss.what}: missed by {100 * miss.metres:.0f} cm"
@@ -219,8 +234,8 @@ def sample_constrained(
     )
     if missed and wanted.strict:
         raise InvalidInputError(f"{missed[0]}; change it, or leave out strict to come as near as it goes")
-    bundle = f"{sampler.manifest.name} {sampler.manifest.version}"
-    return Clip(joints, fps, options.seed, caption, bundle, notes=(*wanted.notes, *missed), misses=misses)
+    bundle = f"{manifest.name} {manifest.version}"
+    return Clip(joints, manifest.fps, options.seed, caption, bundle, notes=(*wanted.notes, *missed), misses=misses)
 
 
 def _sample_joints(

@@ -113,7 +113,7 @@ def check_keep(keep: object, joints: Floats, fps: float) -> Kept:
         fps: frames per second.
 
     Raises:
-        InvalidInputError: nothing, an unknown part, or a span outside the motion.
+        InvalidInputError: nothing, everything, an unknown part, or a span outside the motion.
     """
     items = [keep] if isinstance(keep, str) or _is_span(keep) else keep
     if not isinstance(items, list | tuple) or not items:
@@ -134,9 +134,15 @@ def check_keep(keep: object, joints: Floats, fps: float) -> Kept:
         begin, end = (finite_number(value) for value in item)
         if begin is None or end is None or not 0 <= begin < end <= duration + 1e-6:
             raise InvalidInputError(f"a span to keep must rise from 0 to {duration:g} s, not {short_repr(item)}")
-        spans.append((round(begin * fps), max(round(end * fps), round(begin * fps) + 1)))
-    return Kept(joints.astype(np.float64), tuple(dict.fromkeys(parts)), tuple(spans))
+        first = min(round(begin * fps), len(joints) - 1)
+        spans.append((first, max(round(end * fps), first + 1)))
+    kept = Kept(joints.astype(np.float64), tuple(dict.fromkeys(parts)), tuple(spans))
+    if (kept.world() | kept.relative()).all():
+        raise InvalidInputError(f"keep names all of the clip, {short_repr(keep)}; leave something to the sentence")
+    return kept
 
 
 def _is_span(value: object) -> bool:
-    return isinstance(value, tuple | list) and len(value) == 2 and not any(isinstance(part, str) for part in value)
+    if not isinstance(value, tuple | list) or len(value) != 2:
+        return False
+    return not any(isinstance(part, str | tuple | list) for part in value)

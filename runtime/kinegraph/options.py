@@ -106,10 +106,10 @@ def _space_defaults(manifest: Manifest, space: object) -> tuple[Mapping[str, int
     Raises:
         InvalidInputError: no such space, or a bundle without skeleton space.
     """
+    if not isinstance(space, str) or space not in SPACES:
+        raise InvalidInputError(f"space must be one of {', '.join(SPACES)}, not {short_repr(space)}")
     if space == LATENT:
         return manifest.defaults.steps, manifest.defaults.guidance
-    if space != FRAMES:
-        raise InvalidInputError(f"space must be one of {', '.join(SPACES)}, not {short_repr(space)}")
     part = manifest.frames_part
     if part is None:
         raise InvalidInputError(

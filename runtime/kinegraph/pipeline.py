@@ -215,7 +215,7 @@ class MotionPipeline:
         Raises:
             InvalidInputError: no such space, or the bundle has no skeleton space.
         """
-        if space == LATENT:
+        if isinstance(space, str) and space == LATENT:
             return self
         resolve_options(self.manifest, space=space)
         from kinegraph.frame_denoising import FrameDecoder, FrameSampler
@@ -287,10 +287,11 @@ class MotionPipeline:
             steps: diffusion steps, one number or one per level.
             guidance: guidance scale (Eq. A), one number or one per level.
             space: "latent", or "frames" for skeleton space, where the bundle has it: the motion features themselves are
-                sampled (EnergyMoGen, appendix B), slower, at one level, and without constraints.
+                sampled (EnergyMoGen, appendix B), slower, and at one level.
             foot_fix: lock standing feet where they stand (`motion.postprocess.lock_feet`).
             constraints: what the clip has to do besides (`kinegraph.constraints`): paths, places of joints, poses. The
-                clip tells how far it is from each (`Clip.misses`). Actions in order are then sampled at once.
+                clip tells how far it is from each (`Clip.misses`). Actions in order are then sampled at once. Skeleton
+                space takes poses alone (StartPose, EndPose, Keyframe), and holds them at every step.
             constraint_weight: of all constraints against the text, 0 to 100; 0 is the clip without them, bit for bit.
             constraint_fix: close in the joints what the model leaves of the way (`motion.reaching`).
             strict: refuse words that the bundle was never shown (`find_unknown`), constraints that nobody can meet, and
@@ -644,6 +645,7 @@ class MotionPipeline:
         seed: int | None = None,
         steps: Steps | None = None,
         guidance: Guidance | None = None,
+        space: str = LATENT,
         foot_fix: bool = True,
         constraints: Sequence[Constraint] | None = None,
         constraint_weight: float = 1.0,
@@ -654,7 +656,8 @@ class MotionPipeline:
     ) -> Clip:
         """Keep a part of a clip, and let a sentence make the rest anew.
 
-        What is kept pulls at every step like a constraint, and the last of `Clip.misses` tells how far it moved.
+        What is kept pulls like a constraint, or in skeleton space is held at every step; the last of `Clip.misses`
+        tells how far it moved.
 
         Args:
             clip: to edit, 0.8 to 9.8 s with the default bundle; the result has its length.
@@ -664,27 +667,34 @@ class MotionPipeline:
                 torso relative to the pelvis.
             strength: share of the steps of the finest level that are taken, above 0 to 1. Below 1 they begin at the
                 clip with noise added (SDEdit), so that more of it stays; 1 begins at pure noise.
-            seed, steps, guidance, foot_fix, constraints, constraint_weight, constraint_fix, strict, timeout, on_step:
-                as in `generate`.
+            seed, steps, guidance, space, foot_fix, constraints, constraint_weight, constraint_fix, strict, timeout,
+                on_step: as in `generate`.
 
         Raises:
-            InvalidInputError: as in `generate`; also for a clip that is too long, nothing to keep, or a bundle without
-                an encoder.
+            InvalidInputError: as in `generate`; also for a clip that is too long, nothing to keep or nothing to change,
+                or a bundle without an encoder, which latent space needs.
             Cancelled, NonFiniteError: as in `generate`.
         """
         from kinegraph.clip_editing import check_edit
 
         deadline = _check_call(timeout, on_step, strict=strict)
-        wanted = self._check_constraints(constraints, constraint_weight, constraint_fix, strict=strict)
-        wanted = check_edit(clip, keep, strength, wanted, self.sampler)
+        pipe = self.in_space(space)
+        wanted = pipe._check_wanted(constraints, constraint_weight, constraint_fix, strict=strict)
+        wanted, seconds = check_edit(clip, keep, strength, wanted, pipe.sampler)
         options = resolve_options(
-            self.manifest, seconds=clip.duration, seed=seed, steps=steps, guidance=guidance, foot_fix=foot_fix
+            self.manifest,
+            seconds=seconds,
+            seed=seed,
+            steps=steps,
+            guidance=guidance,
+            foot_fix=foot_fix,
+            space=space,
         )
         graph = self.as_graph(text)
         unknown = self.find_unknown(graph, strict=strict)
         encoded = self._encode_sentence(graph, options, own_length=False, is_known=not unknown, in_order=False)
         deadline.check()
-        return replace(self._make_clip(encoded, options.seed, deadline.watch(on_step), wanted=wanted), unknown=unknown)
+        return replace(pipe._make_clip(encoded, options.seed, deadline.watch(on_step), wanted=wanted), unknown=unknown)
 
     def inbetween(
         self,
@@ -698,6 +708,8 @@ class MotionPipeline:
         **options: Any,
     ) -> Clip:
         """Make the motion between two poses: `generate` with a `StartPose` and an `EndPose`.
+
+        With `space="frames"` they are held at every step, see `generate`.
 
         Args:
             start: a clip, of which the end counts, or joints (22, 3) or (frames, 22, 3), metres.
@@ -975,24 +987,32 @@ class MotionPipeline:
         if wanted is None:
             latents = self.sampler.sample(conditions, weights, [options], on_step, on_latent)
             return self.decoder.decode(latents, [options], [caption])[0]
-        from kinegraph.constrained_denoising import sample_constrained
-
         fitting = wanted.for_clip(options.frames, self.manifest.fps)
         stages = (self.sampler, self.decoder)
+        if self.sampler.space != LATENT:
+            from kinegraph.frame_inpainting import sample_held
+
+            return sample_held(*stages, conditions, weights, options, caption, fitting, on_step)
+        from kinegraph.constrained_denoising import sample_constrained
+
         return sample_constrained(*stages, conditions, weights, options, caption, fitting, on_step, on_latent)
 
     def _check_constraints(self, constraints: object, weight: object, fix: object, *, strict: bool) -> Wanted | None:
         """Check constraints as far as that goes without a clip; None where there are none, and then nothing is loaded.
 
         Raises:
-            InvalidInputError: see `constrained_denoising.Wanted.check`.
+            InvalidInputError: see `constrained_denoising.Wanted.check` and `frame_inpainting.check_held`.
         """
         if constraints is None or (isinstance(constraints, list | tuple) and not constraints):
             return None
+        return self._check_wanted(constraints, weight, fix, strict=strict)
+
+    def _check_wanted(self, constraints: object, weight: object, fix: object, *, strict: bool) -> Wanted:
+        """Check constraints, or none, as far as that goes without a clip; see `_check_constraints`."""
         if self.sampler.space != LATENT:
-            raise InvalidInputError(
-                f"constraints pull in latent space; leave out space={self.sampler.space!r}, or them"
-            )
+            from kinegraph.frame_inpainting import check_held
+
+            return check_held(constraints, weight, fix, strict, self.sampler)
         from kinegraph.constrained_denoising import Wanted
 
         return Wanted.check(constraints, weight, fix, strict, self.sampler)

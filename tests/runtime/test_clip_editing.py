@@ -63,6 +63,12 @@ def test_a_span_is_kept_to_the_millimetre(toy: MotionPipeline, walk: Clip) -> No
     assert np.linalg.norm(edited.joints[-1] - start[-1], axis=-1).mean() > 0.05
 
 
+def test_the_last_moment_of_a_clip_is_a_frame(toy: MotionPipeline, walk: Clip) -> None:
+    edited = toy.edit(walk, BOW, keep=[(1.99, 2.0)], **FEW)
+    start = walk.joints - walk.joints[0, PELVIS] * [1, 0, 1]
+    assert edited.misses[-1].metres < 5e-3 and np.linalg.norm(edited.joints[-1] - start[-1], axis=-1).mean() < 0.01
+
+
 def test_an_arm_comes_along(toy: MotionPipeline, walk: Clip) -> None:
     waved = toy.generate(WAVE, seconds=2, **FEW)
     edited = toy.edit(waved, WALK, keep=["right arm"], **FEW)
@@ -91,6 +97,10 @@ def test_less_strength_stays_nearer(toy: MotionPipeline, walk: Clip) -> None:
         ({"keep": [(0.0, 9.0)]}, "must rise"),
         ({"keep": [(0.0, float("nan"))]}, "must rise"),
         ({"keep": [3]}, "keep holds 3"),
+        ({"keep": [(0.0, 2.0)]}, "keep names all of the clip"),
+        ({"keep": [(0.0, 1.0), (1.0, 2.0)]}, "keep names all of the clip"),
+        ({"keep": "legs", "constraint_fix": 3}, "constraint_fix"),
+        ({"keep": "legs", "constraint_weight": -1}, "constraint_weight"),
         ({"keep": "legs", "strength": 0}, "strength must be"),
         ({"keep": "legs", "strength": "all"}, "strength must be"),
     ],

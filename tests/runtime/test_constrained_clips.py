@@ -133,6 +133,8 @@ def test_a_bundle_without_gradients_refuses(tmp_path: Folder) -> None:
     pipe = MotionPipeline.load(folder, threads=1)
     with pytest.raises(InvalidInputError, match="add_gradients"):
         pipe.generate(WALK, constraints=[ASIDE], **FEW)
+    with pytest.raises(InvalidInputError, match="add_gradients"):
+        pipe.edit(Clip(np.zeros((20, 22, 3), dtype=np.float32), 20.0, 1, WALK, "toy 1"), WALK, keep="legs")
 
 
 def test_a_descent_that_hardly_goes_on_ends() -> None:

@@ -228,7 +228,7 @@ def test_steps_are_reported_and_can_be_stopped(toy: MotionPipeline) -> None:
         ({"space": None}, "space must be one of"),
         ({"steps": (3, 3, 3)}, "steps must be one number or 1"),
         ({"steps": {"motion": 3}}, "unknown level 'motion'"),
-        ({"constraints": [Waypoint(1.0, (0, 1))]}, "constraints pull in latent space"),
+        ({"constraints": [Waypoint(1.0, (0, 1))]}, "such constraints pull in latent space"),
     ],
 )
 def test_what_skeleton_space_does_not_take(toy: MotionPipeline, options: Any, message: str) -> None:
@@ -249,7 +249,11 @@ def test_a_bundle_without_skeleton_space_says_how_to_add_it(toy: MotionPipeline)
         toy.encoder.tables,
         toy.parser,
     )
-    for call in (bare.generate, lambda text, **options: bare.compose([text], **options)):
+
+    def edit(text: str, **options: Any) -> Any:
+        return bare.edit(toy.generate(WALKS, seconds=2, seed=1), text, keep="legs", space=options["space"])
+
+    for call in (bare.generate, lambda text, **options: bare.compose([text], **options), edit):
         with pytest.raises(InvalidInputError, match=r"no skeleton space; .* python -m kinegraph_export.add_frames"):
             call(WALKS, **CLIP)
 

@@ -28,12 +28,14 @@ from kinegraph.feasibility import check_constraints
 from kinegraph.formats import constraints_json, read
 from kinegraph.formats.npz import read_npz
 from kinegraph.graph import Action, Argument
+from kinegraph.intervals import Interval
 from kinegraph.layers import Layer
 from kinegraph.timeline import generate_timeline
 
 FEW: dict[str, Any] = {"seconds": 1, "seed": 1, "steps": 1}
 CLIP = Clip(np.zeros((9, 22, 3), dtype=np.float32), 20.0, 1, "a person stands", "toy 1")
 LONG_CLIP = Clip(np.tile(CLIP.joints[:1], (20, 1, 1)), 20.0, 1, "a person stands", "toy 1")
+INTERVALS = [Interval(GRAPH, 0, 1), Interval(GRAPH, 1, 2)]
 FIELDS: dict[str, Any] = {"joints": CLIP.joints, "fps": 20, "seed": 1, "text": "a", "bundle": "b"}
 EXTRA_FIELDS = ("graph", "unknown", "notes", "misses")
 CONSTRAINT_FIELDS: dict[Callable[..., Any], dict[str, Any]] = {
@@ -117,7 +119,7 @@ PUBLIC: dict[str, Callable[[MotionPipeline, Any], object]] = {
     "generate": lambda pipe, junk: pipe.generate(junk, **FEW),
     **{
         f"generate, {key}": lambda pipe, junk, key=key: pipe.generate(GRAPH, **{**FEW, key: junk})
-        for key in ("seconds", "seed", "steps", "guidance", "foot_fix", "strict", "timeout")
+        for key in ("seconds", "seed", "steps", "guidance", "space", "foot_fix", "strict", "timeout")
     },
     **{
         f"generate, {key}": lambda pipe, junk, key=key: (
@@ -133,6 +135,12 @@ PUBLIC: dict[str, Callable[[MotionPipeline, Any], object]] = {
     "sequence, memory": lambda pipe, junk: pipe.sequence([GRAPH, GRAPH], memory=junk, **FEW),
     "timeline, layers": lambda pipe, junk: generate_timeline(pipe, [GRAPH], layers=junk, **FEW),
     "timeline, layer": lambda pipe, junk: generate_timeline(pipe, [GRAPH], layers=[junk], **FEW),
+    "intervals": lambda pipe, junk: pipe.timeline(junk, steps=1),
+    "intervals, overlap": lambda pipe, junk: pipe.timeline(INTERVALS, overlap=junk, space="frames", steps=1),
+    **{
+        f"interval, {key}": lambda _, junk, key=key: Interval(**{"text": GRAPH, "start": 0, "end": 1, key: junk})
+        for key in ("text", "start", "end", "parts")
+    },
     "layer": lambda pipe, junk: Layer(junk, 0, 1),
     "layer, begin": lambda pipe, junk: Layer(GRAPH, junk, 1),
     "layer, weight": lambda pipe, junk: Layer(GRAPH, 0, 1, junk),
@@ -155,9 +163,10 @@ PUBLIC: dict[str, Callable[[MotionPipeline, Any], object]] = {
         f"edit, {key}": lambda pipe, junk, key=key: pipe.edit(
             LONG_CLIP, GRAPH, **{"keep": "legs", "steps": 1, key: junk}
         )
-        for key in ("keep", "strength")
+        for key in ("keep", "strength", "space", "constraint_weight", "constraint_fix")
     },
     "edit, kept item": lambda pipe, junk: pipe.edit(LONG_CLIP, GRAPH, keep=[junk], steps=1),
+    "edit in skeleton space": lambda pipe, junk: pipe.edit(LONG_CLIP, GRAPH, keep=junk, space="frames", steps=1),
     "edit, span": lambda pipe, junk: pipe.edit(LONG_CLIP, GRAPH, keep=[(0, junk)], steps=1),
     **{
         f"inbetween, {key}": lambda pipe, junk, key=key: pipe.inbetween(

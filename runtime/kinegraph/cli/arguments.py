@@ -154,6 +154,7 @@ def add_edit(parser: argparse.ArgumentParser) -> None:
         "--strength", type=float, default=1.0, metavar="X", help="below 1 more of the clip stays; default 1"
     )
     add_constraints(parser)
+    _add_space(parser)
     _add_sampling_and_output(parser)
 
 
@@ -164,6 +165,7 @@ def add_inbetween(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("text", help="what happens between")
     parser.add_argument("--seconds", type=float, default=2.0, metavar="S", help="length; default 2")
     add_constraints(parser)
+    _add_space(parser)
     _add_sampling_and_output(parser)
 
 

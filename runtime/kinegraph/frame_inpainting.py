@@ -1,0 +1,232 @@
+"""Known frames and joints in skeleton space: they are held at every step, and the network makes the rest to them.
+
+MDM edits motions so (Tevet et al., 2023, section 3, "Editing"). At each step, with x_0 the guided and composed
+prediction of the clean frames:
+
+    x_0 <- known where it is known, x_0 elsewhere        eps = (x_t - sqrt(a) x_0) / sqrt(1 - a)
+
+What is known are features (`motion.known_features`): poses and steps, each in the frame of its own body. Places on the
+floor are sums of steps, and held as such. Bones of one length and places come last, in the joints, as under
+`constrained_denoising`; the clip tells what it misses.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinegraph.arrays import DoubleArray, FloatArray
+from kinegraph.bundle.contract import FRAMES
+from kinegraph.bundle.manifest import Manifest
+from kinegraph.clip import Clip
+from kinegraph.conditioning import Conditions
+from kinegraph.constrained_denoising import BegunPrediction, EncodedClip, Wanted, corrected, told_clip
+from kinegraph.constraints import Constraint, EndPose, Keyframe, StartPose
+from kinegraph.decoding import MotionDecoder
+from kinegraph.denoising import LatentSampler, sample_hierarchy
+from kinegraph.diffusion.composition import CompositionWeights
+from kinegraph.diffusion.sampling import DdimCoefficients, OnStep, PredictNoise
+from kinegraph.errors import InvalidInputError
+from kinegraph.feasibility import frame_of
+from kinegraph.frame_denoising import FrameSampler, clean_of, group, noise_of, ungroup
+from kinegraph.keeping import PARTS, Kept
+from kinegraph.motion.features import features_from_joints
+from kinegraph.motion.known_features import Anchor, KnownFeatures, lead_root
+from kinegraph.motion.postprocess import lock_feet
+from kinegraph.motion.skeleton import PELVIS
+from kinegraph.options import GenerateOptions
+
+HELD: Final = (StartPose, EndPose, Keyframe)
+"""Constraints that say whole poses, and so can be held."""
+
+Hold = Callable[[FloatArray], FloatArray]
+"""Clean frames (1, C, z) -> the same with what is known in its place."""
+
+
+def check_held(constraints: object, weight: object, fix: object, strict: bool, sampler: LatentSampler) -> Wanted:
+    """Check constraints of a clip in skeleton space as far as that goes without it.
+
+    Raises:
+        InvalidInputError: as in `Wanted.check`; also for one that is no pose.
+    """
+    wanted = Wanted.check(constraints, weight, fix, strict, sampler)
+    for index, constraint in enumerate(wanted.constraints):
+        if not isinstance(constraint, HELD):
+            raise InvalidInputError(
+                f"constraints[{index}] is a {type(constraint).__name__}, and such constraints pull in latent space: "
+                f"leave out space={sampler.space!r}, in which StartPose, EndPose and Keyframe are held, or it"
+            )
+    return wanted
+
+
+def encode_frames(joints: FloatArray, sampler: FrameSampler) -> FloatArray:
+    """Convert a clip (frames, 22, 3) to whole groups of frames (1, C, z), the last frame repeated."""
+    rows = features_from_joints(joints)
+    missing = sampler.whole_frames(len(rows)) - len(rows)
+    return group(np.pad(rows, ((0, missing), (0, 0)), mode="edge")[None], sampler.manifest)
+
+
+def known_of(wanted: Wanted, frames: int, whole: int, fps: float) -> KnownFeatures:
+    """Collect what is known of a clip; poses that are asked for go before what is kept.
+
+    Args:
+        wanted: of the clip, checked for its length.
+        frames: of the clip.
+        whole: frames of its groups.
+        fps: frames per second.
+    """
+    known = KnownFeatures.nothing(whole)
+    if wanted.kept is not None:
+        known = _with_kept(known, wanted.kept)
+    for constraint in wanted.constraints:
+        if constraint.weight > 0:
+            known = _with_pose(known, constraint, frames, fps)
+    return known
+
+
+def _with_kept(known: KnownFeatures, kept: Kept) -> KnownFeatures:
+    """Know what an edit keeps: legs with the way of the body, arms in its frame, spans where they are."""
+    for part in kept.parts:
+        known = known.with_poses(kept.joints, 0, PARTS[part], moving=PELVIS in PARTS[part])
+    for start, end in kept.spans:
+        span = kept.joints[start:end]
+        known = known.with_poses(span, start).with_anchor(Anchor.of(span[0], start))
+    return known
+
+
+def _with_pose(known: KnownFeatures, constraint: Constraint, frames: int, fps: float) -> KnownFeatures:
+    match constraint:
+        case StartPose():
+            return known.with_poses(constraint.frames(fps), 0)
+        case EndPose():
+            poses = constraint.frames(fps)
+            return known.with_poses(poses, frames - len(poses))
+        case Keyframe():
+            frame = frame_of(constraint.seconds, frames, fps)
+            known = known.with_poses(constraint.joints[None], frame)
+            return known if constraint.anywhere else known.with_anchor(Anchor.of(constraint.joints, frame))
+    return known
+
+
+@dataclass(frozen=True)
+class HeldFrames:
+    """What is known of the clean frames of a clip, as the network has them; a `Hold`."""
+
+    known: KnownFeatures
+    manifest: Manifest
+    tokens: FloatArray
+    """(1, C, z) of what is known."""
+    mask: NDArray[np.bool_]
+    """(1, C, z) where it is."""
+
+    @classmethod
+    def of(cls, known: KnownFeatures, manifest: Manifest) -> HeldFrames:
+        """Group and normalise what is known."""
+        tokens = group(known.values[None], manifest)
+        return cls(known, manifest, tokens, known.known.reshape(tokens.shape))
+
+    def __call__(self, clean: FloatArray) -> FloatArray:
+        """Put what is known into its place, and lead the root to where it has to come by."""
+        held = np.where(self.mask, self.tokens, clean)
+        if not self.known.anchors:
+            return held
+        features = ungroup(held, self.manifest)[0]
+        led = lead_root(features, self.known.free_steps, self.known.anchors).astype(np.float32)
+        return np.where(self.mask, self.tokens, group(led[None], self.manifest))
+
+
+@dataclass(frozen=True)
+class HeldPrediction:
+    """A prediction of the noise in whose clean frames something is held; a `PredictNoise`."""
+
+    predict: PredictNoise
+    hold: Hold
+    alphas: DoubleArray
+    """(K,) alpha_bar of the steps of the run."""
+
+    def __call__(self, latents: FloatArray, index: int) -> FloatArray:
+        alpha = float(self.alphas[index])
+        clean = clean_of(latents, self.predict(latents, index), alpha)
+        return noise_of(latents, self.hold(clean), alpha)
+
+
+def sample_known(
+    sampler: FrameSampler,
+    conditions: Conditions,
+    weights: CompositionWeights | None,
+    options: GenerateOptions,
+    hold: Hold,
+    begin: EncodedClip | None = None,
+    on_step: OnStep | None = None,
+) -> FloatArray:
+    """Sample groups of frames (1, C, z) in which something is held.
+
+    A run ends at alpha_bar[0], which is not quite 1, so what is known is put into its place once more.
+
+    Args:
+        sampler, conditions, weights: as in `LatentSampler.sample`; one sample.
+        options: of the clip.
+        hold: what is known.
+        begin: the clip at which an edit begins, see `EncodedClip`.
+        on_step: see `sample_hierarchy`.
+
+    Raises:
+        Cancelled, NonFiniteError: see `sample_hierarchy`.
+    """
+    whole = replace(options, frames=sampler.whole_frames(options.frames))
+    noise, alpha_bar = sampler.initial_noise([whole]), sampler.schedule.alphas_cumprod
+
+    def make_predictor(level: str, ddim: DdimCoefficients, coarse: FloatArray | None) -> PredictNoise:
+        predict = sampler.predictor(conditions, weights, [whole], level, ddim, coarse)
+        alphas = alpha_bar[ddim.timesteps]
+        held = HeldPrediction(predict, hold, alphas)
+        if begin is None:
+            return held
+        first = begin.first_step(len(alphas))
+        return BegunPrediction(held, ddim, begin.noised(alphas[first], noise[-1]), first)
+
+    latents = sample_hierarchy(sampler.level_plans(whole), noise, make_predictor, sampler.schedule, on_step)[-1]
+    return hold(latents)
+
+
+def sample_held(
+    sampler: LatentSampler,
+    decoder: MotionDecoder,
+    conditions: Conditions,
+    weights: CompositionWeights | None,
+    options: GenerateOptions,
+    caption: str,
+    wanted: Wanted,
+    on_step: OnStep | None = None,
+) -> Clip:
+    """Sample, read and correct one clip in which poses and what an edit keeps are held.
+
+    Args:
+        sampler, decoder: of skeleton space.
+        conditions, weights, options, caption, wanted: as in `constrained_denoising.sample_constrained`. A weight above
+            0 holds whole; 0 is the clip without it.
+        on_step: called after every step.
+
+    Raises:
+        Cancelled, NonFiniteError: see `sample_known`.
+        InvalidInputError: with `strict`, something was missed by more than `constrained_denoising.MISSED`.
+    """
+    assert isinstance(sampler, FrameSampler)
+    manifest, frames = sampler.manifest, options.frames
+    if not wanted.acts:
+        latents = sampler.sample(conditions, weights, [options], on_step)
+        joints = decoder.decode(latents, [options], [caption])[0].joints
+        return told_clip(joints, wanted, options, caption, manifest)
+    known = known_of(wanted, frames, sampler.whole_frames(frames), manifest.fps)
+    hold = HeldFrames.of(known, manifest)
+    latents = sample_known(sampler, conditions, weights, options, hold, wanted.begin, on_step)
+    (joints,) = decoder.joints(latents, [frames], FRAMES)
+    if wanted.fix:
+        joints = corrected(joints, wanted, manifest.fps, foot_fix=options.foot_fix)
+    elif options.foot_fix:
+        joints = lock_feet(joints, manifest.fps)
+    return told_clip(joints, wanted, options, caption, manifest)
