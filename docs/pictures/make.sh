@@ -21,6 +21,8 @@ kinegraph generate "a person walks and turns right" --seconds 4 --seed 6 -o grap
 "$python" characters.py
 # docs/constraints.md
 "$python" constraints.py
+# docs/evaluation.md
+"$python" actions.py
 # docs/composition.md
 kinegraph compose --and "a person walks forward" --and "a person raises both hands" --seconds 4 --seed 2 -o compose_walk.png
 kinegraph compose --and "a person walks and turns left" --and "a person waves both hands" --seconds 4 --seed 6 -o compose_turn.png
