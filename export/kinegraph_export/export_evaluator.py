@@ -1,6 +1,6 @@
 """Export a trained evaluator as two ONNX graphs and a card, so that measuring needs no torch and stays comparable.
 
-python -m kinegraph_export.export_evaluator --run runs/evaluator --version 1 --out benchmarks/evaluator
+python -m kinegraph_export.export_evaluator --run runs/evaluator --version 3 --licence "CC0" --out EVALUATOR
 """
 
 from __future__ import annotations
@@ -24,7 +24,6 @@ from kinegraph_training.models.evaluator import EvaluatorConfig, MotionEncoder, 
 
 TOLERANCE = 1e-4
 """Largest difference between an exported encoder and its module."""
-LICENCE = "CC BY-NC 4.0 (non-commercial): trained on the Bandai-Namco-Research Motiondataset, CC BY-NC 4.0"
 
 
 def read_evaluator(run: Path) -> tuple[MotionEncoder, TextEncoder, np.ndarray, np.ndarray]:
@@ -78,8 +77,15 @@ def export_encoder(module: nn.Module, width: int, group: int) -> bytes:
     return data
 
 
-def export_evaluator(run: Path, version: str, out: Path) -> None:
-    """Export a run as motion.onnx, text.onnx and evaluator.json in the folder `out`."""
+def export_evaluator(run: Path, version: str, licence: str, out: Path) -> None:
+    """Export a run as motion.onnx, text.onnx and evaluator.json.
+
+    Args:
+        run: folder of the training run.
+        version: scores compare within one version only.
+        licence: terms of the weights, which follow from those of the training data.
+        out: folder to write.
+    """
     motion, text, mean, std = read_evaluator(run)
     files = {
         "motion.onnx": export_encoder(motion, len(mean), motion.group),
@@ -89,7 +95,7 @@ def export_evaluator(run: Path, version: str, out: Path) -> None:
         scores = {k: float(v) for row in csv.DictReader(file) for k, v in row.items() if k.startswith("val/") and v}
     card = {
         "version": version,
-        "licence": LICENCE,
+        "licence": licence,
         "trained_on": "train split, recorded clips and their mirror images, no compositions",
         "validation": scores,
         "frames_per_token": motion.group,
@@ -108,9 +114,10 @@ def main(argv: list[str] | None = None) -> None:
     parser = argparse.ArgumentParser(prog="kinegraph_export.export_evaluator", description=__doc__.split("\n")[0])
     parser.add_argument("--run", type=Path, required=True, help="folder of the training run")
     parser.add_argument("--version", required=True, help="of the evaluator: scores compare within one version only")
+    parser.add_argument("--licence", required=True, help="terms of the weights, after those of the training data")
     parser.add_argument("--out", type=Path, required=True, help="folder to write")
     options = parser.parse_args(argv)
-    export_evaluator(options.run, options.version, options.out)
+    export_evaluator(options.run, options.version, options.licence, options.out)
     size = sum(path.stat().st_size for path in options.out.iterdir())
     print(f"evaluator {options.version}: {size / 1e6:.1f} MB in {options.out}")
 

@@ -68,7 +68,7 @@ def test_trained_saved_and_used_without_torch(tmp_path: Path, monkeypatch: pytes
     words = ["--data", str(tmp_path / "data"), "--run", str(tmp_path / "run"), "--assets", str(text_files_folder())]
     train_evaluator.main([*words, "--threads", "1", "--enable_progress_bar", "0", "--accelerator", "cpu"])
     assert (tmp_path / "run" / "curves" / "curves.png").is_file()
-    export_evaluator(tmp_path / "run", "7", tmp_path / "out")
+    export_evaluator(tmp_path / "run", "7", "CC0", tmp_path / "out")
     evaluator = Evaluator(tmp_path / "out")
     assert evaluator.version == "7"
     clips = [walk(40), walk(61), walk(196)]
