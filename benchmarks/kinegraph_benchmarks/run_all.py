@@ -64,6 +64,9 @@ def list_benchmarks(options: argparse.Namespace) -> list[Benchmark]:
         Benchmark("composition_settings", "quality.composition_settings",
                   "Ways of composing (EnergyMoGen, Tables 7 and 9)", (*data, *held_out)),
         Benchmark("composition", "quality.composition", "Two and three concepts, and weights", ()),
+        Benchmark("temporal_composition", "quality.temporal_composition",
+                  "One text after another (EnergyMoGen, Table 5)", (*data, *held_out)),
+        Benchmark("mtt", "quality.mtt", "Timelines (EnergyMoGen, Tables 3, 6, 7 and 9)", data),
         Benchmark("sampling", "quality.sampler_sweep", "Steps, spacing and guidance", (*data, *work)),
     ]  # fmt: skip
     return benchmarks + (list_ablations(options) if options.compare_steps else [])

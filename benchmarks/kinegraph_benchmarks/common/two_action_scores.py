@@ -12,7 +12,8 @@ import numpy as np
 
 from kinegraph.arrays import FloatArray
 from kinegraph.motion.skeleton import facing_angle
-from kinegraph_benchmarks.common.scores import Judges, grouped_r_precision
+from kinegraph_benchmarks.common.evaluator import Evaluator
+from kinegraph_benchmarks.common.scores import grouped_r_precision
 from kinegraph_benchmarks.common.two_action_set import TwoActionClip
 from kinegraph_training import metrics
 from kinegraph_training.data.clips import MotionClip
@@ -48,12 +49,11 @@ def transition_distance(joints: FloatArray, cut: int | None) -> float:
 
 
 def score_two_actions(
-    items: Sequence[TwoActionClip], motions: Sequence[FloatArray], judges: Judges, rng: np.random.Generator
+    items: Sequence[TwoActionClip], motions: Sequence[FloatArray], evaluator: Evaluator, rng: np.random.Generator
 ) -> dict[str, float]:
     """Score one motion (frames, 22, 3) per item, of the item's length."""
     crops = [crop for item, joints in zip(items, motions, strict=True) for crop in item.crops(joints)]
     labels = [f"{action}/{item.style}" for item in items for action in item.actions]
-    evaluator = judges.evaluator
     embedded = evaluator.embed_motions(crops)
     texts = evaluator.embed_captions([text for item in items for text in item.texts])
     parts = evaluator.embed_motions([part for item in items for part in item.parts])

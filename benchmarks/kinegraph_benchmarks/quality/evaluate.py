@@ -23,6 +23,7 @@ from kinegraph import KinegraphError
 from kinegraph.arrays import FloatArray
 from kinegraph.errors import InvalidInputError
 from kinegraph.motion.skeleton import bone_lengths
+from kinegraph.options import SPACES
 from kinegraph_benchmarks.common.arguments import add_arguments, benchmark_parser
 from kinegraph_benchmarks.common.evaluator import FOLDER as EVALUATOR
 from kinegraph_benchmarks.common.evaluator import Evaluator
@@ -190,8 +191,8 @@ def evaluate_two_actions(plan: Plan, model: Model, items: Sequence[TwoActionClip
     rates = [rates_by_training(items, motions) for motions in takes]
     return {
         "clips": len(items),
-        "captured": average_repeats([score_two_actions(items, captured, judges, rng)]),
-        "generated": average_repeats([score_two_actions(items, motions, judges, rng) for motions in takes]),
+        "captured": average_repeats([score_two_actions(items, captured, judges.evaluator, rng)]),
+        "generated": average_repeats([score_two_actions(items, one, judges.evaluator, rng) for one in takes]),
         "captured_apart": rates_by_training(items, captured),
         "generated_apart": {
             name: {**rate, "both_hold": float(np.mean([take[name]["both_hold"] for take in rates]))}
@@ -331,8 +332,9 @@ def main() -> int:
     parser.add_argument("--run", type=Path, help="a training run instead of a bundle, sampled in torch (comparisons)")
     parser.add_argument("--steps", type=lambda text: [int(part) for part in text.split(",")], help="such as 15,15,20")
     parser.add_argument("--guidance", type=float)
+    parser.add_argument("--space", choices=SPACES, help="frames: skeleton space (EnergyMoGen, Table 4)")
     arguments = parser.parse_args()
-    options = {name: getattr(arguments, name) for name in ("steps", "guidance")}
+    options = {name: getattr(arguments, name) for name in ("steps", "guidance", "space")}
     options = {name: value for name, value in options.items() if value is not None}
     plan = Plan(
         arguments.bundle,
