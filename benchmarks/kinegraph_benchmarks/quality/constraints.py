@@ -26,6 +26,7 @@ from kinegraph.arrays import DoubleArray, FloatArray
 from kinegraph.constraints import Constraint
 from kinegraph.feasibility import frame_of
 from kinegraph.motion.skeleton import HORIZONTAL, PELVIS, facing_angle
+from kinegraph.options import LATENT
 from kinegraph_benchmarks.common.arguments import add_arguments, benchmark_parser
 from kinegraph_benchmarks.common.constraint_cases import Case, floor_path, make_cases, on_common_body
 from kinegraph_benchmarks.common.evaluator import Evaluator
@@ -156,13 +157,16 @@ def timed(make: Callable[[], Clip]) -> tuple[FloatArray, float]:
     return clip.joints, time.process_time() - start
 
 
-def run_case(pipe: MotionPipeline, case: Case, *, weight: float = 1.0) -> dict[str, Any]:
+def run_case(pipe: MotionPipeline, case: Case, *, weight: float = 1.0, space: str = LATENT) -> dict[str, Any]:
     """Make a case plain, by the energies alone, and corrected; measure each.
+
+    In skeleton space, "alone" is what is held there, before the correction.
 
     Returns:
         Misses in metres, jerk and skate as ratios to the plain clip, CPU seconds, whether rules hold; and the joints.
     """
-    plain, plain_seconds = timed(lambda: pipe.generate(case.text, seconds=case.seconds, seed=case.seed))
+    shared: dict[str, Any] = {"seconds": case.seconds, "seed": case.seed, "space": space}
+    plain, plain_seconds = timed(lambda: pipe.generate(case.text, **shared))
     row: dict[str, Any] = {
         "text": case.text,
         "seed": case.seed,
@@ -172,12 +176,7 @@ def run_case(pipe: MotionPipeline, case: Case, *, weight: float = 1.0) -> dict[s
     for arm, options in (("alone", {"constraint_fix": False}), ("corrected", {})):
         joints, seconds = timed(
             lambda options=options: pipe.generate(  # type: ignore[misc]
-                case.text,
-                seconds=case.seconds,
-                seed=case.seed,
-                constraints=case.constraints,
-                constraint_weight=weight,
-                **options,
+                case.text, constraints=case.constraints, constraint_weight=weight, **shared, **options
             )
         )
         skates = [np.nan_to_num(foot_skate(clip)) + SMALL_SKATE for clip in (joints, plain)]

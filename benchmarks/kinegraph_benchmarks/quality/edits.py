@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import subprocess
 import sys
+import time
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
@@ -24,6 +25,7 @@ from kinegraph.arrays import FloatArray
 from kinegraph.keeping import PARTS
 from kinegraph.motion.energies import to_own_frames
 from kinegraph.motion.skeleton import PELVIS, start_at_origin
+from kinegraph.options import LATENT
 from kinegraph_benchmarks.common.arguments import add_arguments, benchmark_parser
 from kinegraph_benchmarks.common.everyday_rules import meets
 from kinegraph_benchmarks.common.predicates import FPS
@@ -83,16 +85,21 @@ def kept_distance(before: FloatArray, after: FloatArray, keep: Keep) -> float:
     return float(np.linalg.norm(new[:, joints] - old[:, joints], axis=-1).mean())
 
 
-def run_edit(pipe: MotionPipeline, edit: tuple[str, str, Keep, tuple[str, ...]], seed: int) -> dict[str, Any]:
-    """Make one clip, edit it, and measure both."""
+def run_edit(
+    pipe: MotionPipeline, edit: tuple[str, str, Keep, tuple[str, ...]], seed: int, space: str = LATENT
+) -> dict[str, Any]:
+    """Make one clip, edit it in a space of `options.SPACES`, and measure both."""
     text, new_text, keep, rules = edit
     clip: Clip = pipe.generate(text, seconds=SECONDS, seed=seed)
-    edited = pipe.edit(clip, new_text, keep=[keep], seed=seed)
+    start = time.process_time()
+    edited = pipe.edit(clip, new_text, keep=[keep], seed=seed, space=space)
+    seconds = time.process_time() - start
     return {
         "text": text,
         "new_text": new_text,
         "keep": keep,
         "seed": seed,
+        "cpu": seconds,
         "kept": kept_distance(clip.joints, edited.joints, keep),
         "changed": float(np.linalg.norm(edited.joints - start_at_origin(clip.joints), axis=-1).mean()),
         "held_before": meets(clip.joints, rules),
