@@ -207,7 +207,9 @@ def words_text(record: Mapping[str, Any]) -> str:
             f"{title} does not know what it was shown: it has no vocabulary.npz, and so tells no unknown words. "
             "`kinegraph info` prints what its maker says of it; `python -m kinegraph_export.vocabulary` adds the file"
         )
-    lines = [f"{title} was shown these, in recorded clips, and their compositions; other words are told"]
+    lines = [
+        f"{title} was shown these, in clips that were recorded or made, and their compositions; other words are told"
+    ]
     measured = any(phrase["recognised"] is not None for phrase in record["actions"])
     if measured:
         lines.append("(clips shown, share of its own clips in which it is recognised among 32 actions, example)")
