@@ -18,12 +18,12 @@ def values(means: list[float], spread: float) -> np.ndarray:
 @pytest.mark.parametrize(
     ("means", "spread", "sense", "met"),
     [
-        ([0, 1, 2, 3, 4, 5, 6], 5.9, 1, True),
-        ([0, 1, 2, 3, 4, 5, 6], 6.1, 1, False),
-        ([6, 5, 4, 3, 2, 1, 0], 1.0, 1, False),
-        ([6, 5, 4, 3, 2, 1, 0], 1.0, -1, True),
-        ([0, 3, 6, 9, 8, 4, 5], 1.0, 1, False),
-        ([1, 1, 1, 1, 1, 1, 1], 0.1, 1, False),
+        ([0, 1, 2, 3, 4, 5, 6, 7, 8], 7.9, 1, True),
+        ([0, 1, 2, 3, 4, 5, 6, 7, 8], 8.1, 1, False),
+        ([8, 7, 6, 5, 4, 3, 2, 1, 0], 1.0, 1, False),
+        ([8, 7, 6, 5, 4, 3, 2, 1, 0], 1.0, -1, True),
+        ([0, 3, 6, 9, 8, 4, 5, 2, 1], 1.0, 1, False),
+        ([1, 1, 1, 1, 1, 1, 1, 1, 1], 0.1, 1, False),
     ],
 )
 def test_a_curve_is_met_if_it_is_monotone_and_goes_far_enough(
@@ -31,6 +31,12 @@ def test_a_curve_is_met_if_it_is_monotone_and_goes_far_enough(
 ) -> None:
     found = edit_curves.judge_curve(values(means, spread), sense)
     assert found["met"] is met and found["mean"] == pytest.approx(means)
+
+
+def test_a_cliff_is_steep() -> None:
+    assert edit_curves.judge_curve(values([0, 1, 2, 3, 4, 5, 6, 7, 8], 1), 1)["steepest"] == pytest.approx(1 / 8)
+    assert edit_curves.judge_curve(values([0, 0, 0, 4, 4, 4, 4, 4, 4], 1), 1)["steepest"] == 1
+    assert edit_curves.judge_curve(values([1] * 9, 1), 1)["steepest"] == 0
 
 
 def test_rank_correlation_is_that_of_the_textbook() -> None:
@@ -42,10 +48,10 @@ def test_rank_correlation_is_that_of_the_textbook() -> None:
 
 def test_quantities_measure_what_they_name() -> None:
     ahead, still = walk(60, speed=0.06), walk(60, speed=0.0)
-    assert edit_curves.share_walking(ahead) == 1.0 and edit_curves.share_walking(still) == 0.0
+    assert edit_curves.seconds_walking(ahead) == 59 / 20 and edit_curves.seconds_walking(still) == 0.0
     raised = still.copy()
     raised[:30, 21, 1] = 2.5
-    assert edit_curves.share_raised(raised) == 0.5
+    assert edit_curves.seconds_raised(raised) == 1.5
     assert edit_curves.wrist_above_other("right")(raised) > 0.3 > abs(edit_curves.wrist_above_other("right")(still))
     assert edit_curves.turn_to(1)(walk(60, turning=0.01)) == -edit_curves.turn_to(-1)(walk(60, turning=0.01))
 

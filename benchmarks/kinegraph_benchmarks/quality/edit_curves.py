@@ -4,7 +4,8 @@
 
 Each curve weights one edge of one caption's graph, with the same seeds at every weight. A curve is met if its mean over
 seeds is monotone (Spearman 0.8 or more, in the sense expected), and if it moves from weight 0 to 3 by the standard
-deviation over seeds at weight 1 or more. Writes JSON, and a Markdown table beside it.
+deviation over seeds at weight 1 or more. `steepest` tells a cliff: the largest share of that way between two weights
+that are 0.25 or 0.5 apart. Writes JSON, and a Markdown table beside it.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ from kinegraph_benchmarks.common import predicates as p
 from kinegraph_benchmarks.common.arguments import add_arguments, benchmark_parser
 from kinegraph_benchmarks.common.report_io import write_report
 
-WEIGHTS = (0.0, 0.5, 1.0, 1.5, 2.0, 2.5, 3.0)
+WEIGHTS = (0.0, 0.25, 0.5, 0.75, 1.0, 1.5, 2.0, 2.5, 3.0)
 MONOTONE = 0.8
 """Lowest Spearman correlation of a curve that is met."""
 MOVED = 1.0
@@ -57,16 +58,16 @@ def wrist_above_other(side: str) -> Callable[[FloatArray], float]:
     return difference
 
 
-def share_walking(joints: FloatArray) -> float:
-    """Measure the share of frames in which the pelvis moves faster than 0.4 m/s over the floor."""
+def seconds_walking(joints: FloatArray) -> float:
+    """Measure for how long the pelvis moves faster than 0.4 m/s over the floor, seconds."""
     step = np.linalg.norm(np.diff(joints[:, 0][:, [0, 2]], axis=0), axis=1) * p.FPS
-    return float((np.convolve(step, np.ones(5) / 5, mode="same") > 0.4).mean())
+    return float((np.convolve(step, np.ones(5) / 5, mode="same") > 0.4).sum() / p.FPS)
 
 
-def share_raised(joints: FloatArray) -> float:
-    """Measure the share of frames in which a wrist is above the head."""
+def seconds_raised(joints: FloatArray) -> float:
+    """Measure for how long a wrist is above the head, seconds."""
     wrists = joints[:, [JOINT_INDEX["left_wrist"], JOINT_INDEX["right_wrist"]], 1]
-    return float((wrists.max(axis=1) > joints[:, JOINT_INDEX["head"], 1]).mean())
+    return float((wrists.max(axis=1) > joints[:, JOINT_INDEX["head"], 1]).sum() / p.FPS)
 
 
 def turn_to(side: int) -> Callable[[FloatArray], float]:
@@ -82,8 +83,8 @@ CURVES = (
     Curve("body part, right", "a person waves with the right hand", "with the right hand", wrist_above_other("right"),
           1, "m"),
     Curve("body part, left", "a person raises the left hand", "the left hand", wrist_above_other("left"), 1, "m"),
-    Curve("action, first", "a person walks and raises both hands", "walks", share_walking, 1, "share"),
-    Curve("action, second", "a person walks and raises both hands", "raises", share_raised, 1, "share"),
+    Curve("action, first", "a person walks and raises both hands", "walks", seconds_walking, 1, "s"),
+    Curve("action, second", "a person walks and raises both hands", "raises", seconds_raised, 1, "s"),
 )  # fmt: skip
 
 
@@ -124,9 +125,11 @@ def judge_weights(values: NDArray[np.float64], sense: int, weights: Sequence[flo
 
 
 def judge_curve(values: NDArray[np.float64], sense: int) -> dict[str, Any]:
-    """Judge a curve over `WEIGHTS` (`judge_weights`), and whether it is met."""
+    """Judge a curve over `WEIGHTS` (`judge_weights`), how steep it is, and whether it is met."""
     judged = judge_weights(values, sense, WEIGHTS, float(values[WEIGHTS.index(1.0)].std(ddof=1)))
-    return {**judged, "met": judged["spearman"] >= MONOTONE and judged["moved"] >= MOVED}
+    steps = np.abs(np.diff(judged["mean"]))
+    steepest = float(steps.max() / np.ptp(judged["mean"])) if steps.any() else 0.0
+    return {**judged, "steepest": steepest, "met": judged["spearman"] >= MONOTONE and judged["moved"] >= MOVED}
 
 
 def measure_curve(pipe: MotionPipeline, curve: Curve, seeds: int, seconds: float) -> dict[str, Any]:
@@ -149,11 +152,21 @@ def measure_curve(pipe: MotionPipeline, curve: Curve, seeds: int, seconds: float
 
 def markdown_table(results: dict[str, dict[str, Any]]) -> str:
     """Format results as Markdown, one line for each curve."""
-    heads = ["caption", "edge", *(f"w = {weight:g}" for weight in WEIGHTS), "unit", "Spearman", "moved / s.d.", "met"]
+    heads = [
+        "caption",
+        "edge",
+        *(f"w = {weight:g}" for weight in WEIGHTS),
+        "unit",
+        "Spearman",
+        "moved / s.d.",
+        "steepest",
+        "met",
+    ]
     lines = ["| " + " | ".join(heads) + " |", "|" + "---|" * len(heads)]
     for curve in results.values():
         cells = [curve["caption"], curve["node"], *(f"{value:.2f}" for value in curve["mean"]), curve["unit"]]
-        cells += [f"{curve['spearman']:.2f}", f"{curve['moved']:.2f}", "yes" if curve["met"] else "no"]
+        cells += [f"{curve[name]:.2f}" for name in ("spearman", "moved", "steepest")]
+        cells += ["yes" if curve["met"] else "no"]
         lines.append("| " + " | ".join(cells) + " |")
     met = sum(curve["met"] for curve in results.values())
     return "\n".join(lines) + f"\n\n{met} of {len(results)} curves met.\n"
