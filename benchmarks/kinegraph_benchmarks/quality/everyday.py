@@ -4,6 +4,7 @@
 
     ... --bundles A B               folders or names of bundles; the default bundle without it
     ... --prompts FILE FILE         JSON lines of {"text", "seconds", "rules"}; data/paraphrases.jsonl without it
+    ... --spaces latent frames      in skeleton space as well, of a bundle that has it
     ... --judge RULES.py            judge by the table RULES of this file as well, on the same clips
 
 A clip is right if it meets all rules of its prompt (`common.everyday_rules`). `quality.everyday_rules` says how
@@ -23,6 +24,7 @@ import numpy as np
 from kinegraph import MotionPipeline
 from kinegraph.arrays import FloatArray
 from kinegraph.errors import InvalidInputError
+from kinegraph.options import LATENT, SPACES
 from kinegraph_benchmarks.common import predicates as p
 from kinegraph_benchmarks.common.arguments import add_arguments, benchmark_parser
 from kinegraph_benchmarks.common.everyday_rules import find_rule, meets
@@ -139,6 +141,7 @@ def main() -> None:
     parser.add_argument(
         "--bundles", nargs="+", default=[None], help="folders or names of bundles; the default bundle without it"
     )
+    parser.add_argument("--spaces", nargs="+", choices=SPACES, default=[LATENT], help="frames: skeleton space, too")
     parser.add_argument("--prompts", type=Path, nargs="+", default=[PARAPHRASES], help="files of prompts")
     parser.add_argument("--judge", type=Path, help="Python file with another table RULES; it is run")
     parser.add_argument("--threads", type=int, default=1, help="threads of a model (1)")
@@ -148,10 +151,12 @@ def main() -> None:
     result: dict[str, Any] = {"seeds": options.seeds, "bundles": [], "files": {name: {} for name in prompts}}
     for bundle in options.bundles:
         pipe = MotionPipeline.load(bundle, threads=options.threads)
-        name = bundle_name(pipe, result["bundles"])
-        result["bundles"].append(name)
-        for file, asked in prompts.items():
-            result["files"][file][name] = measure_prompts(pipe, asked, options.seeds, judge)
+        plain = bundle_name(pipe, result["bundles"])
+        for space in options.spaces:
+            name = plain if space == LATENT else f"{plain}, {space}"
+            result["bundles"].append(name)
+            for file, asked in prompts.items():
+                result["files"][file][name] = measure_prompts(pipe, asked, options.seeds, judge, space=space)
     result["summary"] = {
         file: {
             name: {
