@@ -225,8 +225,16 @@ def sample_held(
     hold = HeldFrames.of(known, manifest)
     latents = sample_known(sampler, conditions, weights, options, hold, wanted.begin, on_step)
     (joints,) = decoder.joints(latents, [frames], FRAMES)
-    if wanted.fix:
-        joints = corrected(joints, wanted, manifest.fps, foot_fix=options.foot_fix)
-    elif options.foot_fix:
-        joints = lock_feet(joints, manifest.fps)
-    return told_clip(joints, wanted, options, caption, manifest)
+    return told_clip(nearer(joints, wanted, options, manifest.fps), wanted, options, caption, manifest)
+
+
+def nearer(joints: FloatArray, wanted: Wanted, options: GenerateOptions, fps: float) -> FloatArray:
+    """Correct joints (frames, 22, 3) towards what is wanted, unless that leads away from it.
+
+    What is held is near already; and where a pose has other bones, no correction puts all joints into their places.
+    """
+    held = lock_feet(joints, fps) if options.foot_fix else joints
+    if not wanted.fix:
+        return held
+    mended = corrected(joints, wanted, fps, foot_fix=options.foot_fix)
+    return min((mended, held), key=lambda each: sum(miss.metres for miss in wanted.misses(each, fps)))

@@ -176,6 +176,10 @@ def test_what_cannot_be_held_is_told(toy: MotionPipeline, walk: Clip) -> None:
     tall = replace(walk, joints=walk.joints * 1.3)
     edited = toy.edit(tall, BOW, keep=[(0.0, 1.0)], **ALONE)
     assert edited.misses[-1].metres > 0.05 and "what is kept: missed by" in edited.notes[-1]
+    for pose in (StartPose(tall), EndPose(tall)):  # closing what bones leave open would lead away
+        options = {"seconds": 2, "constraints": [pose], "foot_fix": False, **HELD}
+        mended, held = (toy.generate(WALK, constraint_fix=fix, **options) for fix in (True, False))
+        assert mended.misses[0].metres <= held.misses[0].metres
     strict = Wanted((Keyframe(1.0, tall.joints[20]),), 1.0, True, strict=True)
     with pytest.raises(InvalidInputError, match="keyframe at 1 s: missed by"):
         told_clip(walk.joints, strict, resolve_options(toy.manifest), WALK, toy.manifest)
