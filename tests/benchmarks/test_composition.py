@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from itertools import combinations
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -106,3 +107,17 @@ def test_the_table_has_a_column_for_each_bundle() -> None:
     assert "| both, latent | 1.000 | 1.000 |" in text and "| gestures that travel | 0.000 | 0.000 |" in text
     assert text.count("curves met; goal 6") == 2 * len(composition.CURVE_METHODS)
     assert all(first != second for first, second in combinations(composition.CURVES, 2))
+
+
+@pytest.mark.parametrize("part", composition.PARTS)
+def test_a_space_is_that_of_every_clip(part: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    fake, spaces = Fake(), []
+
+    def noted(call: Any) -> Any:
+        return lambda *words, space, **how: spaces.append(space) or call(*words, **how)
+
+    pipe: Any = SimpleNamespace(generate=noted(fake.generate), compose=noted(fake.compose))
+    for name, value in (("PAIRS", PAIRS[:1]), ("TRIPLES", composition.TRIPLES[:1]), ("CURVES", composition.CURVES[:1])):
+        monkeypatch.setattr(composition, name, value)
+    composition.MEASURES[part](pipe, 2, space="frames")
+    assert set(spaces) == {"frames"}

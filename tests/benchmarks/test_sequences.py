@@ -62,6 +62,21 @@ def test_a_sequence_is_measured_part_by_part_and_join_by_join(toy: MotionPipelin
     assert all(join["of_captured"][0] < 1 < join["of_captured"][1] for join in row["joins"])
 
 
+def test_parts_of_one_run_are_compared_with_clips_of_skeleton_space(
+    toy: MotionPipeline, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pytest.importorskip("spacy")
+    spaces: list[str] = []
+    generate = type(toy).generate
+    monkeypatch.setattr(
+        type(toy), "generate", lambda pipe, *words, **how: spaces.append(how["space"]) or generate(pipe, *words, **how)
+    )
+    limits = dict.fromkeys(ACTIONS, (1e9, 1e9, 1e9))
+    row = sequences.measure_sequence(toy, ("walk", "bow"), 3, limits, "energy")
+    assert spaces == ["frames", "frames"] and row["total_error"] == 0.0
+    assert row["parts"][0]["alone"] is True and row["parts"][0]["in_sequence"] is True
+
+
 def test_rates_lengths_and_joins_are_summed_up() -> None:
     def part(name: str, alone: bool, within: bool, error: float = 0.1) -> dict[str, Any]:
         return {"name": name, "alone": alone, "in_sequence": within, "in_other_parts": 0.0, "length_error": error}

@@ -4,6 +4,7 @@
 
     ... --bundles A B               folders or names of bundles; the default bundle without it
     ... --only pairs curves         parts: pairs, triples, uncalled, negation, curves
+    ... --spaces latent frames      in skeleton space as well, of a bundle that has it
 
 Pairs are those of `quality.composition_settings`, which training never joins; of three concepts, one is of the legs
 and one of each hand. A single sentence must not do more than it says: gestures do not travel, and travelling raises no
@@ -24,6 +25,7 @@ import numpy as np
 from kinegraph import Concept, MotionPipeline
 from kinegraph.arrays import FloatArray
 from kinegraph.motion.skeleton import JOINT_INDEX
+from kinegraph.options import LATENT, SPACES
 from kinegraph_benchmarks.common import predicates as p
 from kinegraph_benchmarks.common.arguments import add_arguments, benchmark_parser
 from kinegraph_benchmarks.common.everyday_rules import travel
@@ -151,7 +153,7 @@ def measure_together(
     return rows
 
 
-def measure_uncalled(pipe: MotionPipeline, seeds: int) -> dict[str, Any]:
+def measure_uncalled(pipe: MotionPipeline, seeds: int, **options: Any) -> dict[str, Any]:
     """Measure what single sentences do that nobody asked for.
 
     Returns:
@@ -161,7 +163,8 @@ def measure_uncalled(pipe: MotionPipeline, seeds: int) -> dict[str, Any]:
     asked = [(action, lambda joints: not p.stands(joints)) for action in GESTURES]
     asked += [(action, hand_up("left", "right")) for action in TRAVELS]
     for action, leaks in asked:
-        clips = [pipe.generate(WORDS[action], seconds=SECONDS, seed=seed).joints for seed in range(seeds)]
+        how = {"seconds": SECONDS, **options}
+        clips = [pipe.generate(WORDS[action], seed=seed, **how).joints for seed in range(seeds)]
         rows[WORDS[action]] = float(np.mean([leaks(joints) for joints in clips]))
     return {
         "travel": float(np.mean([rows[WORDS[action]] for action in GESTURES])),
@@ -170,7 +173,7 @@ def measure_uncalled(pipe: MotionPipeline, seeds: int) -> dict[str, Any]:
     }
 
 
-def measure_curves(pipe: MotionPipeline, seeds: int) -> dict[str, Any]:
+def measure_curves(pipe: MotionPipeline, seeds: int, **options: Any) -> dict[str, Any]:
     """Measure every curve by each of `CURVE_METHODS`: means by weight, Spearman, range in s.d. of seeds, met or not."""
     report: dict[str, Any] = {}
     for method in CURVE_METHODS:
@@ -181,7 +184,7 @@ def measure_curves(pipe: MotionPipeline, seeds: int) -> dict[str, Any]:
                     curve.quantity(
                         pipe.compose(
                             [WORDS[curve.beside], Concept(WORDS[curve.weighted], weight)],
-                            seconds=SECONDS, seed=seed, **METHODS[method],
+                            seconds=SECONDS, seed=seed, **METHODS[method], **options,
                         ).joints
                     )
                     for seed in range(seeds)
@@ -197,14 +200,16 @@ def measure_curves(pipe: MotionPipeline, seeds: int) -> dict[str, Any]:
     return report
 
 
-MEASURES: Final[Mapping[str, Callable[[MotionPipeline, int], Any]]] = {
-    "pairs": lambda pipe, seeds: measure_together(pipe, PAIRS, seeds),
-    "triples": lambda pipe, seeds: measure_together(pipe, TRIPLES, seeds),
+MEASURES: Final[Mapping[str, Callable[..., Any]]] = {
+    "pairs": lambda pipe, seeds, **options: measure_together(pipe, PAIRS, seeds, **options),
+    "triples": lambda pipe, seeds, **options: measure_together(pipe, TRIPLES, seeds, **options),
     "uncalled": measure_uncalled,
-    "negation": lambda pipe, seeds: {f"{weight:g}": measure_negation(pipe, seeds, weight) for weight in NEGATIONS},
+    "negation": lambda pipe, seeds, **options: {
+        f"{weight:g}": measure_negation(pipe, seeds, weight, **options) for weight in NEGATIONS
+    },
     "curves": measure_curves,
 }
-"""Measure of each of `PARTS`: bundle and number of seeds -> what is written."""
+"""Measure of each of `PARTS`: bundle, number of seeds, and keywords of `generate` and `compose` -> what is written."""
 
 
 def markdown_table(result: Mapping[str, Any]) -> str:
@@ -260,16 +265,19 @@ def main() -> None:
         "--bundles", nargs="+", default=[None], help="folders or names of bundles; the default bundle without it"
     )
     parser.add_argument("--only", nargs="+", choices=PARTS, default=PARTS, help="parts that are measured (all)")
+    parser.add_argument("--spaces", nargs="+", choices=SPACES, default=[LATENT], help="frames: skeleton space, too")
     parser.add_argument("--threads", type=int, default=1, help="threads of a model (1)")
     options = parser.parse_args()
     result: dict[str, Any] = {"seeds": options.seeds, "bundles": {}}
     for bundle in options.bundles:
         pipe = MotionPipeline.load(bundle, threads=options.threads)
-        name = bundle_name(pipe, tuple(result["bundles"]))
-        result["bundles"][name] = {}
-        for part in options.only:
-            result["bundles"][name][part] = MEASURES[part](pipe, options.seeds)
-            print(f"{name}: {part} measured", file=sys.stderr)
+        plain = bundle_name(pipe, tuple(result["bundles"]))
+        for space in options.spaces:
+            name = plain if space == LATENT else f"{plain}, {space}"
+            result["bundles"][name] = {}
+            for part in options.only:
+                result["bundles"][name][part] = MEASURES[part](pipe, options.seeds, space=space)
+                print(f"{name}: {part} measured", file=sys.stderr)
     write_report(options.out, result, markdown_table(result))
 
 

@@ -150,17 +150,19 @@ def measure_setting(
     }
 
 
-def measure_negation(pipe: MotionPipeline, seeds: int, weight: float) -> dict[str, Any]:
+def measure_negation(pipe: MotionPipeline, seeds: int, weight: float, **options: Any) -> dict[str, Any]:
     """Measure what a negation of the second action takes from the joint text, and what it leaves of the first.
 
     Pairs whose joint text does not show both actions are left out. The method is the default one; beside one positive
-    concept of weight 1, latent and fused are the same.
+    concept of weight 1, latent and fused are the same. `options` are keywords that `generate` and `compose` have in
+    common.
     """
     rows = []
     for pair in PAIRS:
-        plain = [pipe.generate(joint_text(pair), seconds=SECONDS, seed=seed).joints for seed in range(seeds)]
+        how = {"seconds": SECONDS, **options}
+        plain = [pipe.generate(joint_text(pair), seed=seed, **how).joints for seed in range(seeds)]
         concepts = [Concept(joint_text(pair)), Concept(WORDS[pair[1]], weight)]
-        negated = [pipe.compose(concepts, seconds=SECONDS, seed=seed).joints for seed in range(seeds)]
+        negated = [pipe.compose(concepts, seed=seed, **how).joints for seed in range(seeds)]
         before, after = ([action_rate(action, clips) for action in pair] for clips in (plain, negated))
         if before[1] >= 0.3 and before[0] > 0:
             # at most 1: one pair that comes out better without the second action does not make up for others

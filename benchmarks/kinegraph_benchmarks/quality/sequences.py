@@ -25,8 +25,9 @@ import numpy as np
 
 from kinegraph import MotionPipeline
 from kinegraph.arrays import FloatArray
+from kinegraph.bundle.contract import FRAMES
 from kinegraph.motion import blending
-from kinegraph.options import SEQUENCE_METHODS
+from kinegraph.options import LATENT, SEQUENCE_METHODS
 from kinegraph_benchmarks.common.arguments import add_arguments, benchmark_parser
 from kinegraph_benchmarks.common.predicates import FPS
 from kinegraph_benchmarks.common.report_io import write_report
@@ -139,11 +140,12 @@ def measure_sequence(
     Args:
         pipe: the bundle.
         names: parts, keys of `ACTIONS`.
-        seed: of the sequence; part k alone has seed + k.
+        seed: of the sequence; part k alone has seed + k, in the space of the method.
         limits: of `captured_limits`.
         method: of `MotionPipeline.sequence`.
     """
     actions = [ACTIONS[name] for name in names]
+    space = FRAMES if method == "energy" else LATENT
     start = time.process_time()
     with recorded_joins() as offsets:
         clip = pipe.sequence(
@@ -160,7 +162,7 @@ def measure_sequence(
     parts, alone_seconds = [], 0.0
     for index, (name, action) in enumerate(zip(names, actions, strict=True)):
         start = time.process_time()
-        alone = pipe.generate(action.sentence, seconds=action.seconds, seed=seed + index).joints
+        alone = pipe.generate(action.sentence, seconds=action.seconds, seed=seed + index, space=space).joints
         alone_seconds += time.process_time() - start
         others = [action.holds(crop) for other, crop in zip(names, crops, strict=True) if other != name]
         parts.append(
