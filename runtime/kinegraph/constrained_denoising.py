@@ -39,7 +39,7 @@ from kinegraph.keeping import Kept
 from kinegraph.limits import MAX_WEIGHT
 from kinegraph.motion.energies import TOES, Energy, floor_energy, stance_energy
 from kinegraph.motion.features import joints_from_features, joints_vjp
-from kinegraph.motion.postprocess import enforce_bone_lengths, find_contacts, lock_feet
+from kinegraph.motion.postprocess import enforce_bone_lengths, find_contacts, lock_feet, sliding_speed
 from kinegraph.motion.reaching import Pins, reach
 from kinegraph.motion.skeleton import bone_lengths
 from kinegraph.options import LATENT, GenerateOptions
@@ -67,7 +67,7 @@ CLOSE: Final = 0.008
 """Metres, root mean square of a constraint of weight 1: so near, the descent ends."""
 HOLD: Final = 0.005
 """How strongly the descent holds the latent to where diffusion left it, m^2."""
-STANCE_WEIGHT: Final = 2.0
+STANCE_WEIGHT: Final = 4.0
 """Weight of planted feet that slide, and of feet under the floor, in the descent."""
 REACHING_ROUNDS: Final = 2
 """Corrections in the joints, at most: the first moves what the places of `EndPose` and `Loop` depend on."""
@@ -317,8 +317,9 @@ def _standing_terms(joints: Floats, fps: float) -> tuple[Term, ...]:
     """Make the energy of feet that stand where they stood, and not under the floor."""
     planted = np.zeros((len(joints) - 1, len(TOES)))
     weight = STANCE_WEIGHT / len(joints)
+    speed = sliding_speed(joints, fps)
     for index, toe in enumerate(TOES):
-        for start, end in find_contacts(joints[:, toe].astype(np.float64), fps):
+        for start, end in find_contacts(joints[:, toe].astype(np.float64), fps, speed):
             planted[start : end - 1, index] = weight
 
     def stance(moved: Floats) -> Energy:

@@ -13,19 +13,23 @@ from kinegraph import MotionPipeline
 from kinegraph.bundle.reader import read_bundle
 from kinegraph.errors import BundleFormatError
 from kinegraph.motion.postprocess import (
+    CONTACT_SPEED,
     LEGS,
+    MAX_CONTACT_SPEED,
     MAX_CORRECTION,
     MAX_EXTENSION,
     METRES_PER_JERK,
     RAMP_SECONDS,
     _toe_corrections,
+    ease_corrections,
     enforce_bone_lengths,
     find_contacts,
     lock_feet,
+    sliding_speed,
     two_bone_ik,
 )
 from kinegraph.motion.skeleton import JOINT_INDEX, PARENTS, bone_lengths
-from support.motions import recorded, walk
+from support.motions import recorded, stand, walk
 from support.synthetic_bundle import bundle_files, tables_npz, write_bundle
 
 FPS = 20.0
@@ -149,8 +153,8 @@ def stepping() -> np.ndarray:
 
 def test_beside_a_contact_the_toe_takes_the_path_of_least_jerk() -> None:
     toe = stepping()
-    correction = _toe_corrections(toe, FPS, None)
     contacts, ramp = find_contacts(toe, FPS), round(RAMP_SECONDS * FPS)
+    correction = ease_corrections(toe, _toe_corrections(toe, contacts, None), contacts, FPS)
     assert len(contacts) == 2
     for start, end in contacts:
         np.testing.assert_allclose(np.diff((toe + correction)[start:end, [0, 2]], axis=0), 0.0, atol=1e-12)
@@ -169,6 +173,16 @@ def test_beside_a_contact_the_toe_takes_the_path_of_least_jerk() -> None:
             other = correction.copy()
             other[np.ix_(free, [0, 2])] += size * rng.normal(size=(len(free), 2))
             assert cost(other) > cost(correction)
+
+
+def test_a_low_toe_slides_if_it_is_slower_than_the_body() -> None:
+    assert sliding_speed(walk(60, speed=0.04), FPS) == pytest.approx(0.8, abs=0.01)
+    assert sliding_speed(stand(60), FPS) == pytest.approx(CONTACT_SPEED)
+    assert sliding_speed(walk(60, speed=0.12), FPS) == pytest.approx(MAX_CONTACT_SPEED)
+    toe = np.zeros((40, 3))
+    toe[10:20, 2] = 0.035 * np.arange(10)  # 0.7 m/s
+    toe[20:, 2] = 0.35 + 0.1 * np.arange(20)
+    assert find_contacts(toe, FPS) == [(0, 11)] and find_contacts(toe, FPS, 0.8) == [(0, 20)]
 
 
 def test_recorded_legs_jerk_no_more_than_before() -> None:

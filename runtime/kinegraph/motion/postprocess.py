@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from kinegraph.arrays import FloatArray, Floats
 from kinegraph.motion.quaternions import normalised
-from kinegraph.motion.skeleton import HORIZONTAL, JOINT_INDEX, JOINTS, PARENTS, bone_lengths
+from kinegraph.motion.skeleton import HORIZONTAL, JOINT_INDEX, JOINTS, PARENTS, PELVIS, bone_lengths
 
 LEGS: Final[tuple[tuple[int, int, int, int], ...]] = tuple(
     (JOINT_INDEX[f"{side}_hip"], JOINT_INDEX[f"{side}_knee"], JOINT_INDEX[f"{side}_ankle"], JOINT_INDEX[f"{side}_foot"])
@@ -25,6 +25,8 @@ LEGS: Final[tuple[tuple[int, int, int, int], ...]] = tuple(
 
 CONTACT_SPEED: Final = 0.5
 """m/s over the floor: a toe that is low and slower than this is planted, or is meant to be."""
+MAX_CONTACT_SPEED: Final = 1.2
+"""m/s, however fast the body is (`sliding_speed`)."""
 CONTACT_HEIGHT: Final = 0.07
 """Metres above the 10 % quantile of the toe's height."""
 MIN_CONTACT_SECONDS: Final = 0.15
@@ -128,7 +130,13 @@ def _correction_shares() -> FloatArray:
 _CORRECTION_SHARES: Final = _correction_shares()
 
 
-def lock_feet(joints: FloatArray, fps: float, aims: Floats | None = None) -> FloatArray:
+def lock_feet(
+    joints: FloatArray,
+    fps: float,
+    aims: Floats | None = None,
+    contact_speed: float = CONTACT_SPEED,
+    metres_per_jerk: float = METRES_PER_JERK,
+) -> FloatArray:
     """Correct a motion so that planted toes do not slide.
 
     During a contact the toe is held at its median position, or at the mean of where it has to be then; beside it it
@@ -139,13 +147,19 @@ def lock_feet(joints: FloatArray, fps: float, aims: Floats | None = None) -> Flo
         joints: (frames, 22, 3) metres, Y up.
         fps: frames per second.
         aims: (frames, 22, 3) metres where joints have to be, NaN where they need not; None is nowhere.
+        contact_speed: see `find_contacts`.
+        metres_per_jerk: see `ease_corrections`.
 
     Returns:
         (frames, 22, 3) float32 metres.
     """
     locked = joints.astype(np.float64)
     for hip, knee, ankle, toe in LEGS:
-        correction = _toe_corrections(locked[:, toe], fps, None if aims is None else aims[:, toe])
+        contacts = find_contacts(locked[:, toe], fps, contact_speed)
+        aim = None if aims is None else aims[:, toe]
+        correction = ease_corrections(
+            locked[:, toe], _toe_corrections(locked[:, toe], contacts, aim), contacts, fps, metres_per_jerk
+        )
         if not correction.any():
             continue
         goal = locked[:, ankle] + correction
@@ -155,12 +169,13 @@ def lock_feet(joints: FloatArray, fps: float, aims: Floats | None = None) -> Flo
     return locked.astype(np.float32)
 
 
-def find_contacts(toe: Floats, fps: float) -> list[tuple[int, int]]:
+def find_contacts(toe: Floats, fps: float, contact_speed: float = CONTACT_SPEED) -> list[tuple[int, int]]:
     """Find the spans of frames in which a toe is planted: slow, low and long enough.
 
     Args:
         toe: (frames, 3) metres, Y up.
         fps: frames per second.
+        contact_speed: m/s over the floor below which a low toe is planted.
 
     Returns:
         Half-open spans (start, end) of frames.
@@ -168,8 +183,22 @@ def find_contacts(toe: Floats, fps: float) -> list[tuple[int, int]]:
     if len(toe) < 3:
         return []
     speed = np.linalg.norm(np.gradient(toe[:, [0, 2]], axis=0), axis=-1) * fps
-    planted = (speed < CONTACT_SPEED) & (toe[:, 1] < np.quantile(toe[:, 1], 0.1) + CONTACT_HEIGHT)
+    planted = (speed < contact_speed) & (toe[:, 1] < np.quantile(toe[:, 1], 0.1) + CONTACT_HEIGHT)
     return [(start, end) for start, end in _true_spans(planted) if end - start >= MIN_CONTACT_SECONDS * fps]
+
+
+def sliding_speed(joints: Floats, fps: float) -> float:
+    """Tell below which speed, m/s, a low toe slides that is meant to be planted: the body's, on the mean.
+
+    Constraints let a body go faster than its sentence alone does, and its planted feet slide with it; a swinging foot
+    is twice as fast as the body.
+
+    Args:
+        joints: (frames, 22, 3) metres.
+        fps: frames per second.
+    """
+    steps = np.linalg.norm(np.diff(joints[:, PELVIS][:, [0, 2]], axis=0), axis=1)
+    return float(np.clip(fps * steps.mean(), CONTACT_SPEED, MAX_CONTACT_SPEED))
 
 
 def median_place(points: Floats) -> Floats:
@@ -206,9 +235,8 @@ def two_bone_ik(hip: Floats, knee: Floats, ankle: Floats, goal: Floats) -> tuple
     return new_knee, hip + distance[:, None] * along
 
 
-def _toe_corrections(toe: Floats, fps: float, aim: Floats | None) -> Floats:
+def _toe_corrections(toe: Floats, contacts: list[tuple[int, int]], aim: Floats | None) -> Floats:
     """Compute the horizontal displacement (frames, 3) that locks a toe (frames, 3) in its contacts; see `lock_feet`."""
-    contacts = find_contacts(toe, fps)
     correction = np.zeros_like(toe)
     for start, end in contacts:
         place = median_place(toe[start:end])
@@ -217,13 +245,19 @@ def _toe_corrections(toe: Floats, fps: float, aim: Floats | None) -> Floats:
         to_place = (place - toe[start:end]) * HORIZONTAL
         distance = np.maximum(np.linalg.norm(to_place, axis=-1), 1e-9)
         correction[start:end] = to_place * np.minimum(1.0, MAX_CORRECTION / distance)[:, None]
-    return ease_corrections(toe, correction, contacts, fps)
+    return correction
 
 
-def ease_corrections(toe: Floats, correction: Floats, contacts: list[tuple[int, int]], fps: float) -> Floats:
+def ease_corrections(
+    toe: Floats,
+    correction: Floats,
+    contacts: list[tuple[int, int]],
+    fps: float,
+    metres_per_jerk: float = METRES_PER_JERK,
+) -> Floats:
     """Let the corrections of contacts come and go smoothly beside them.
 
-    Beside a contact the correction s minimises sum |D^3 (toe + s)|^2 + (s / `METRES_PER_JERK`)^2, with D^3 the third
+    Beside a contact the correction s minimises sum |D^3 (toe + s)|^2 + (s / metres_per_jerk)^2, with D^3 the third
     derivative: the path of least jerk (Flash & Hogan, 1985, Eq. 1), kept near the original one.
 
     Args:
@@ -231,6 +265,7 @@ def ease_corrections(toe: Floats, correction: Floats, contacts: list[tuple[int, 
         correction: (frames, 3) metres, horizontal, set in the contacts.
         contacts: half-open spans of frames.
         fps: frames per second.
+        metres_per_jerk: metres of correction that cost as much as a jerk of 1 m/s^3.
 
     Returns:
         (frames, 3) metres; in the contacts as it was.
@@ -244,19 +279,19 @@ def ease_corrections(toe: Floats, correction: Floats, contacts: list[tuple[int, 
     for start, end in _true_spans(free):
         # third derivatives couple each frame with three neighbours on either side
         first, last = max(0, start - 3), min(len(toe), end + 3)
-        third, unknown, normal = _least_jerk(last - first, start - first, end - first, fps)
+        third, unknown, normal = _least_jerk(last - first, start - first, end - first, fps, metres_per_jerk)
         jerk = third @ (toe[first:last] * HORIZONTAL + correction[first:last])
-        # normal equations: (U^T U + 1 / METRES_PER_JERK^2) s = -U^T jerk
+        # normal equations: (U^T U + 1 / metres_per_jerk^2) s = -U^T jerk
         correction[start:end] = -np.linalg.solve(normal, unknown.T @ jerk)
     return correction
 
 
 @lru_cache(maxsize=32)
-def _least_jerk(frames: int, start: int, end: int, fps: float) -> tuple[Floats, Floats, Floats]:
+def _least_jerk(frames: int, start: int, end: int, fps: float, metres_per_jerk: float) -> tuple[Floats, Floats, Floats]:
     """Build the third derivative D^3 of `frames` frames, its columns U of the free ones, and the normal matrix."""
     third = np.diff(np.eye(frames), n=3, axis=0) * fps**3
     unknown = third[:, start:end]
-    normal = unknown.T @ unknown + np.eye(end - start) / METRES_PER_JERK**2
+    normal = unknown.T @ unknown + np.eye(end - start) / metres_per_jerk**2
     for array in (third, unknown, normal):
         array.flags.writeable = False
     return third, unknown, normal

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinegraph.arrays import DoubleArray, FloatArray, Floats
-from kinegraph.motion.postprocess import bend_to_lengths, lock_feet
+from kinegraph.motion.postprocess import bend_to_lengths, lock_feet, sliding_speed
 from kinegraph.motion.skeleton import JOINT_INDEX, LEFT_HIP, PELVIS, RIGHT_HIP
 
 METRES_PER_ACCELERATION: Final = 0.02
@@ -29,6 +29,8 @@ of least jerk kept its acceleration, too; that of frames that are missed by mill
 """
 SLACK: Final = 0.01
 """Metres off its path that cost a body as much as an acceleration of 1 m/s^2: it cuts corners, not its pelvis."""
+FOOT_METRES_PER_JERK: Final = 5e-4
+"""Of feet beside their contacts, eight times that of clips without constraints: these feet slide further."""
 PELVIC: Final = (PELVIS, LEFT_HIP, RIGHT_HIP, JOINT_INDEX["spine1"])
 """Joints that move as one when the pelvis has to be elsewhere: alone it would tilt, 6 degrees for each centimetre."""
 ROUNDS: Final = 8
@@ -77,7 +79,8 @@ def reach(joints: Floats, pins: Pins, lengths: FloatArray, fps: float, *, foot_f
     moved = joints.astype(np.float64) + _root_displacement(joints, pins, fps)[:, None]
     if foot_fix:
         aims = np.where(pins.wanted, pins.target, np.nan)
-        moved = lock_feet(moved.astype(np.float32), fps, aims).astype(np.float64)
+        speed = sliding_speed(moved, fps)
+        moved = lock_feet(moved.astype(np.float32), fps, aims, speed, FOOT_METRES_PER_JERK).astype(np.float64)
     displacement = _joint_displacements(moved, pins, fps)
     displaced = np.abs(displacement).max(axis=-1) > NEGLIGIBLE
     far = (np.abs(pins.missed(moved)) > NEGLIGIBLE).any(axis=-1)
