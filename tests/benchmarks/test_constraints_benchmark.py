@@ -55,10 +55,9 @@ def test_a_person_can_do_what_is_asked(kind: str) -> None:
 @pytest.mark.parametrize("kind", ["path", "waypoint", "hand", "foot", "keyframe", "keyframe + straight"])
 def test_the_clip_that_a_case_is_drawn_from_meets_it(kind: str) -> None:
     for case in CASES[kind]:
-        lengths = [one.joints[: round(case.seconds * FPS)] for one in CLIPS]
-        nearest = min(max(miss(joints, wanted) for wanted in case.constraints) for joints in lengths)
+        assert case.captured is not None and len(case.captured) == round(case.seconds * FPS)
         # paths are straight between their points, of which there are four a second
-        assert nearest < 0.005, case
+        assert max(miss(case.captured, wanted) for wanted in case.constraints) < 0.005, case
 
 
 def test_misses_are_metres() -> None:
@@ -91,7 +90,9 @@ def test_a_summary_tells_which_goals_are_met() -> None:
     rows = [{"plain": {"miss": 1.0, "worst": 1.0, "cpu": 0.1, "holds": True}, "alone": arm, "corrected": arm}]
     summary = summarise(rows)
     assert summary["corrected"]["time"] == pytest.approx(5) and summary["corrected"]["text_kept"] == 1
-    assert all(goals_met("path", summary).values())
+    assert all(goals_met("path", summary).values()) and "captured" not in summary
+    beside = summarise([rows[0] | {"captured": {"jerk": jerk, "skate": 1.0}} for jerk in (1.0, 2.0, 3.0)])
+    assert beside["captured"] == {"jerk": 2.0, "skate": 1.0}
     for change, goal in (({"miss": 0.04}, "corrected"), ({"jerk": 1.4}, "jerk"), ({"cpu": 0.7}, "time")):
         worse = summarise([rows[0] | {"corrected": arm | change}])
         assert not goals_met("path", worse)[goal]

@@ -60,6 +60,8 @@ class Case:
     seconds: float
     seed: int
     constraints: tuple[Constraint, ...]
+    captured: FloatArray | None = None
+    """(frames, 22, 3) metres: the clip that did all of it, if one did; as long as the case."""
 
 
 def make_cases(clips: Sequence[MotionClip], count: int) -> dict[str, list[Case]]:
@@ -76,8 +78,8 @@ def make_cases(clips: Sequence[MotionClip], count: int) -> dict[str, list[Case]]
         if not drawn:
             continue
         cases[kind] = [
-            Case(kind, text, rules, seconds, seed, constraints)
-            for seed, (text, rules, seconds, constraints) in zip(seeds, cycle(drawn), strict=False)
+            Case(kind, text, rules, seconds, seed, constraints, captured)
+            for seed, (text, rules, seconds, constraints, captured) in zip(seeds, cycle(drawn), strict=False)
         ]
     return cases
 
@@ -88,7 +90,7 @@ def on_common_body(clips: Sequence[MotionClip]) -> list[MotionClip]:
     return [replace(clip, joints=canonicalise(to_common_skeleton(clip.joints, rests))) for clip in clips]
 
 
-_Drawn = Iterator[tuple[str, tuple[str, ...], float, tuple[Constraint, ...]]]
+_Drawn = Iterator[tuple[str, tuple[str, ...], float, tuple[Constraint, ...], FloatArray | None]]
 
 
 def usable(clips: Sequence[MotionClip], labels: dict[str, tuple[str, tuple[str, ...]]]) -> list[MotionClip]:
@@ -118,9 +120,10 @@ def _length(clip: MotionClip) -> float:
 def _captured_path(clips: Sequence[MotionClip]) -> _Drawn:
     """The path of a captured clip, a point every quarter of a second."""
     for clip in usable(clips, GAITS):
-        places, (text, rules) = floor_path(_cut(clip)), GAITS[clip.action]
+        joints, (text, rules) = _cut(clip), GAITS[clip.action]
+        places = floor_path(joints)
         frames = np.unique(np.append(np.arange(0, len(places), 5), len(places) - 1))
-        yield text, rules, _length(clip), (Path(places[frames], frames / FPS),)
+        yield text, rules, _length(clip), (Path(places[frames], frames / FPS),), joints
 
 
 def _drawn_path(_: Sequence[MotionClip]) -> _Drawn:
@@ -132,15 +135,16 @@ def _drawn_path(_: Sequence[MotionClip]) -> _Drawn:
                 heading = bend * shape
                 steps = np.stack([np.sin(heading), np.cos(heading)], axis=-1)[1:] * (length / 24)
                 points = np.concatenate([np.zeros((1, 2)), np.cumsum(steps, axis=0)])
-                yield "a person walks forward", ("forward",), SECONDS, (Path(points),)
+                yield "a person walks forward", ("forward",), SECONDS, (Path(points),), None
 
 
 def _waypoint(clips: Sequence[MotionClip]) -> _Drawn:
     """Where a captured clip is in its middle and at its end."""
     for clip in usable(clips, GAITS):
-        places, (text, rules) = floor_path(_cut(clip)), GAITS[clip.action]
+        joints, (text, rules) = _cut(clip), GAITS[clip.action]
+        places = floor_path(joints)
         frames = (len(places) // 2, len(places) - 1)
-        yield text, rules, _length(clip), tuple(_at(places[frame], frame) for frame in frames)
+        yield text, rules, _length(clip), tuple(_at(places[frame], frame) for frame in frames), joints
 
 
 def _at(place: FloatArray, frame: int) -> Waypoint:
@@ -153,7 +157,7 @@ def _hand(clips: Sequence[MotionClip]) -> _Drawn:
         joints, (text, rules) = _cut(clip), GESTURES[clip.action]
         frame = round(0.6 * len(joints))
         side = "left" if "left" in clip.action else "right"
-        yield text, rules, _length(clip), (_joint(joints, f"{side}_wrist", frame),)
+        yield text, rules, _length(clip), (_joint(joints, f"{side}_wrist", frame),), joints
 
 
 def _foot(clips: Sequence[MotionClip]) -> _Drawn:
@@ -163,7 +167,7 @@ def _foot(clips: Sequence[MotionClip]) -> _Drawn:
         frame = len(joints) // 2
         names = ("left_foot", "right_foot")
         standing = min(names, key=lambda name: joints[frame, JOINT_INDEX[name], 1])
-        yield text, rules, _length(clip), (_joint(joints, standing, frame),)
+        yield text, rules, _length(clip), (_joint(joints, standing, frame),), joints
 
 
 def _joint(joints: FloatArray, name: str, frame: int) -> JointTarget:
@@ -176,7 +180,7 @@ def _keyframe(clips: Sequence[MotionClip]) -> _Drawn:
     for clip in usable(clips, GESTURES):
         joints, (text, rules) = _cut(clip), GESTURES[clip.action]
         frame = len(joints) // 2
-        yield text, rules, _length(clip), (Keyframe(frame / FPS, joints[frame]),)
+        yield text, rules, _length(clip), (Keyframe(frame / FPS, joints[frame]),), joints
 
 
 def _start(clips: Sequence[MotionClip]) -> _Drawn:
@@ -184,7 +188,7 @@ def _start(clips: Sequence[MotionClip]) -> _Drawn:
     chosen = usable(clips, ALL)
     for clip, following in pairwise(chosen):
         text, rules = ALL[following.action]
-        yield text, rules, SECONDS, (StartPose(_cut(clip)[-POSE_FRAMES:]),)
+        yield text, rules, SECONDS, (StartPose(_cut(clip)[-POSE_FRAMES:]),), None
 
 
 def _end(clips: Sequence[MotionClip]) -> _Drawn:
@@ -192,12 +196,12 @@ def _end(clips: Sequence[MotionClip]) -> _Drawn:
     chosen = usable(clips, ALL)
     for clip, before in pairwise(chosen):
         text, rules = ALL[before.action]
-        yield text, rules, SECONDS, (EndPose(_cut(clip)[:POSE_FRAMES]),)
+        yield text, rules, SECONDS, (EndPose(_cut(clip)[:POSE_FRAMES]),), None
 
 
 def _loop(_: Sequence[MotionClip]) -> _Drawn:
     for text, rules in ALL.values():
-        yield text, rules, SECONDS, (Loop(),)
+        yield text, rules, SECONDS, (Loop(),), None
 
 
 def _path_and_wave(clips: Sequence[MotionClip]) -> _Drawn:
@@ -207,7 +211,7 @@ def _path_and_wave(clips: Sequence[MotionClip]) -> _Drawn:
     for clip in usable(clips, walks):
         places = floor_path(_cut(clip))
         frames = np.unique(np.append(np.arange(0, len(places), 5), len(places) - 1))
-        yield text, rules, _length(clip), (Path(places[frames], frames / FPS),)
+        yield text, rules, _length(clip), (Path(places[frames], frames / FPS),), None
 
 
 def _keyframe_and_straight(clips: Sequence[MotionClip]) -> _Drawn:
@@ -216,7 +220,7 @@ def _keyframe_and_straight(clips: Sequence[MotionClip]) -> _Drawn:
     for clip in usable(clips, {"walk": WALK_STRAIGHT}):
         joints = _cut(clip)
         frame = len(joints) // 2
-        yield text, rules, _length(clip), (Keyframe(frame / FPS, joints[frame], anywhere=True),)
+        yield text, rules, _length(clip), (Keyframe(frame / FPS, joints[frame], anywhere=True),), joints
 
 
 KINDS: Final[dict[str, Callable[[Sequence[MotionClip]], _Drawn]]] = {
@@ -232,4 +236,4 @@ KINDS: Final[dict[str, Callable[[Sequence[MotionClip]], _Drawn]]] = {
     "path + wave": _path_and_wave,
     "keyframe + straight": _keyframe_and_straight,
 }
-"""Kind -> generator of sentence, rules, seconds and constraints."""
+"""Kind -> generator of sentence, rules, seconds, constraints, and the clip that did it all."""
