@@ -20,7 +20,7 @@ from kinegraph_training import train_frames
 from kinegraph_training.checkpoints import read_checkpoint
 from kinegraph_training.config import FrameConfig, read_preset
 from kinegraph_training.frame_batches import FrameBatches, SimilarLengths
-from kinegraph_training.frame_module import FrameModule, squared_error_of_frames
+from kinegraph_training.frame_module import FrameModule, squared_error_of_frames, squared_error_of_steps
 from kinegraph_training.models.denoiser import DenoiserConfig, LatentShape
 from kinegraph_training.models.frame_denoiser import FrameDenoiser, group_frames, hide_padding
 from support.toy_run import ASSETS, run_stage, steps_of
@@ -73,6 +73,19 @@ def test_the_loss_weighs_the_root_and_leaves_out_padding() -> None:
                 weights += weight
         expected.append(total / weights)
     np.testing.assert_allclose(squared_error_of_frames(predicted, clean, mask, 6).numpy(), expected, rtol=1e-5)
+
+
+def test_steps_from_frame_to_frame_count_where_both_frames_do() -> None:
+    torch.manual_seed(4)
+    predicted, clean = torch.randn(2, 3, 10), torch.randn(2, 3, 10)  # groups of two frames of five features
+    mask = torch.tensor([[1.0, 1.0, 1.0], [1.0, 1.0, 0.0]])
+    expected = []
+    for row, frames in ((0, 6), (1, 4)):
+        right, wrong = (x[row].reshape(6, 5).numpy() for x in (clean, predicted))
+        steps = [(wrong[k + 1] - wrong[k]) - (right[k + 1] - right[k]) for k in range(frames - 1)]
+        expected.append(np.mean(np.square(steps)))
+    np.testing.assert_allclose(squared_error_of_steps(predicted, clean, mask, 5).numpy(), expected, rtol=1e-5)
+    assert float(squared_error_of_steps(clean + 1, clean, mask, 5).max()) < 1e-10  # no trembling, no error
 
 
 def test_batches_are_of_clips_of_similar_length() -> None:
