@@ -8,10 +8,16 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from kinegraph.bundle.manifest import Manifest, describe_file, encode_manifest
+from kinegraph.bundle.manifest import FileSpec, Manifest, describe_file, encode_manifest
 from kinegraph.bundle.onnx_inspect import summarise
 from kinegraph.bundle.reader import MANIFEST
 from kinegraph.files import write_atomically
+
+
+def listed_files(manifest: Manifest, files: Mapping[str, bytes]) -> dict[str, FileSpec]:
+    """List the files of a manifest and further ones by name, or others under the same names."""
+    described = {name: describe_file(data) for name, data in files.items()}
+    return dict(sorted({**manifest.files, **described}.items()))
 
 
 def with_graphs(
@@ -25,11 +31,10 @@ def with_graphs(
         parity: their differences from torch.
         changes: other fields of the manifest.
     """
-    files = {name: describe_file(data) for name, data in graphs.items()}
     operators = {name: summarise(data, name).operators for name, data in graphs.items()}
     return dataclasses.replace(
         manifest,
-        files=dict(sorted({**manifest.files, **files}.items())),
+        files=listed_files(manifest, graphs),
         operators=dict(sorted({**manifest.operators, **operators}.items())),
         parity={**manifest.parity, **parity},
         **changes,

@@ -22,7 +22,7 @@ from typing import Final
 import numpy as np
 
 from kinegraph.arrays import FloatArray
-from kinegraph.bundle.manifest import decode_manifest, describe_file
+from kinegraph.bundle.manifest import decode_manifest
 from kinegraph.bundle.reader import MANIFEST, text_files_folder
 from kinegraph.bundle.vocabulary import (
     ACTION_SENTENCE,
@@ -37,7 +37,7 @@ from kinegraph.bundle.vocabulary import (
 from kinegraph.errors import InvalidInputError
 from kinegraph.graph import SemanticGraph
 from kinegraph.text.words import FUNCTION, LIGHT_VERBS, PERSONS, combinations, split_clauses, split_words, stem
-from kinegraph_export.bundle_changes import unchanged_if_it_fails, write_files
+from kinegraph_export.bundle_changes import listed_files, unchanged_if_it_fails, write_files
 from kinegraph_training.data.caption_cache import CaptionEncoder
 from kinegraph_training.data.shown_captions import ShownCaptions, read_data_captions
 from kinegraph_training.synthetic.caption_grammar import (
@@ -224,9 +224,9 @@ def add_to_bundle(folder: Path, data: bytes) -> None:
         OutputError: the folder cannot be written; the bundle stays as it was.
     """
     manifest = decode_manifest((folder / MANIFEST).read_bytes())
-    files = dict(sorted({**manifest.files, FILE: describe_file(data)}.items()))
+    sealed = dataclasses.replace(manifest, files=listed_files(manifest, {FILE: data}))
     with unchanged_if_it_fails(folder, [FILE]):
-        write_files(folder, dataclasses.replace(manifest, files=files), {FILE: data})
+        write_files(folder, sealed, {FILE: data})
 
 
 def with_recognition(data: bytes, report: Path, bundle: Path) -> bytes:

@@ -122,8 +122,7 @@ class Wanted:
     @property
     def acts(self) -> bool:
         """Whether anything pulls: weights of 0 are a clip without constraints, bit for bit."""
-        pulls = self.kept is not None or any(constraint.weight > 0 for constraint in self.constraints)
-        return self.weight > 0 and pulls
+        return self.weight > 0 and (self.kept is not None or any(each.weight > 0 for each in self.constraints))
 
     def terms(self, frames: int, fps: float, *, leading: bool = False) -> tuple[Term, ...]:
         """List the energies of all that is wanted."""
