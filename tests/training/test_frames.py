@@ -22,7 +22,8 @@ from kinegraph_training.config import FrameConfig, read_preset
 from kinegraph_training.frame_batches import FrameBatches, SimilarLengths
 from kinegraph_training.frame_module import FrameModule, squared_error_of_frames, squared_error_of_steps
 from kinegraph_training.models.denoiser import DenoiserConfig, LatentShape
-from kinegraph_training.models.frame_denoiser import FrameDenoiser, group_frames, hide_padding
+from kinegraph_training.models.frame_denoiser import FrameDenoiser, SeamSmoothing, group_frames, hide_padding
+from kinegraph_training.trainer import load_start_weights
 from support.toy_run import ASSETS, run_stage, steps_of
 
 CONFIG = DenoiserConfig(width=16, layers=4, heads=2, feed_forward=32, text_width=12, dropout=0.0)
@@ -30,8 +31,9 @@ CONFIG = DenoiserConfig(width=16, layers=4, heads=2, feed_forward=32, text_width
 
 def frame_denoiser() -> FrameDenoiser:
     torch.manual_seed(5)
-    denoiser = FrameDenoiser(CONFIG, LatentShape(tokens=9, width=6)).eval()
+    denoiser = FrameDenoiser(replace(CONFIG, frames_per_token=2), LatentShape(tokens=9, width=6)).eval()
     torch.nn.init.normal_(denoiser.clock.out.weight, std=0.2)
+    torch.nn.init.normal_(denoiser.step.seams.features_out.weight, std=0.2)
     return denoiser
 
 
@@ -50,6 +52,28 @@ def test_a_network_takes_any_number_of_frames_and_never_sees_padding() -> None:
     padded = denoiser.step(noisy, *given, padding=hide_padding(mask, PADDING_BIAS))
     torch.testing.assert_close(padded[:, :5], alone, atol=1e-5, rtol=0)
     assert not torch.allclose(denoiser.step(noisy, *given)[:, :5], alone, atol=1e-3), "padding would be seen"
+
+
+@torch.no_grad()
+def test_seams_are_mended_across_groups_and_not_at_first() -> None:
+    torch.manual_seed(6)
+    seams, groups = SeamSmoothing(features=3), torch.randn(1, 5, 12)
+    torch.testing.assert_close(seams(groups), groups)
+    torch.nn.init.normal_(seams.features_out.weight, std=0.5)
+    changed = groups.clone()
+    changed[0, 2, :3] += 1.0  # the first frame of the third group
+    moved = (seams(changed) - seams(groups)).reshape(20, 3).abs().amax(dim=1) > 1e-6
+    assert moved[7] and moved[8] and not moved[0] and not moved[19]
+    assert FrameDenoiser(CONFIG, LatentShape(tokens=9, width=6)).step.seams is None, "single frames have no seams"
+
+
+def test_weights_from_before_the_seams_were_mended_still_start_a_run(tmp_path: Path) -> None:
+    shape, config = LatentShape(tokens=9, width=6), replace(CONFIG, frames_per_token=2)
+    old, new = FrameDenoiser(config, shape), FrameDenoiser(config, shape)
+    state = {name: value for name, value in old.state_dict().items() if ".seams." not in name}
+    torch.save({"state_dict": state, "hyper_parameters": {}}, tmp_path / "old.ckpt")
+    load_start_weights(new, tmp_path / "old.ckpt", "")
+    assert torch.equal(new.step.noise_out.weight, old.step.noise_out.weight)
 
 
 def test_groups_hold_the_features_of_their_frames_in_order() -> None:

@@ -103,7 +103,8 @@ class FrameConfig:
         """Make the configuration of the network; it sees all nodes, as the finest level does."""
         sizes = {name: getattr(self, name) for name in ("width", "layers", "heads", "feed_forward")}
         given = {name: size for name, size in sizes.items() if size is not None}
-        return replace(base, kind="frames", nodes_seen="all", levels=LEVELS[-1:], **given)
+        own = {"frames_per_token": self.frames_per_token, **given}
+        return replace(base, kind="frames", nodes_seen="all", levels=LEVELS[-1:], **own)
 
 
 @dataclass(frozen=True)

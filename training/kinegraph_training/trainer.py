@@ -22,7 +22,7 @@ from kinegraph_training.config import OptimiserConfig
 
 TOKEN_PARAMETERS = frozenset(("query", "latent_position", "position", "coarse_position"))
 """Last name of the parameters (tokens, width) that hold one row per latent token."""
-NEW_LAYERS = ".mixing."
+NEW_LAYERS = (".mixing.", ".seams.")
 KIND_EMBEDDING = ".kind.weight"
 """Parts of the denoisers' parameter names that older checkpoints lack, or have fewer rows of."""
 FINAL_RATE = 0.02
@@ -219,8 +219,8 @@ def load_start_weights(module: nn.Module, checkpoint: Path, prefix: str) -> None
 
     A module whose latent has a multiple of the checkpoint's tokens starts with each token repeated: token k stands for
     the k-th part of a clip, so the two halves of that part start from the token of the whole. Layers among context
-    tokens and kinds of tokens that the checkpoint does not know start as a new module has them: the layers change
-    nothing at first.
+    tokens, convolutions over seams and kinds of tokens that the checkpoint does not know start as a new module has
+    them: the layers change nothing at first.
 
     Args:
         module: receives the weights.
@@ -237,7 +237,7 @@ def load_start_weights(module: nn.Module, checkpoint: Path, prefix: str) -> None
     for name, value in module.state_dict().items():
         if name.split(".")[-1] in TOKEN_PARAMETERS and name in state:
             state[name] = repeat_rows(state[name], len(value))
-        elif NEW_LAYERS in name:
+        elif any(part in name for part in NEW_LAYERS):
             state.setdefault(name, value)
         elif name.endswith(KIND_EMBEDDING) and name in state:
             state[name] = torch.cat([state[name], value[len(state[name]) :]])

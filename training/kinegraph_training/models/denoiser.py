@@ -61,6 +61,8 @@ class DenoiserConfig:
     """Layers of self-attention among the context tokens, once per sample; as wide as the denoiser."""
     levels: tuple[str, ...] = LEVELS
     """Coarse to fine; ("specific",) alone is one-stage latent diffusion."""
+    frames_per_token: int = 1
+    """Frames of a token in skeleton space."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "levels", tuple(self.levels))
