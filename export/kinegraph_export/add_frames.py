@@ -32,6 +32,8 @@ from kinegraph.bundle.frames_part import FramesPart, frame_contracts
 from kinegraph.bundle.manifest import Manifest
 from kinegraph.bundle.reader import read_bundle
 from kinegraph.errors import InvalidInputError
+from kinegraph.motion.features import LAYOUT
+from kinegraph.motion.fusion import fused_joints
 from kinegraph.motion.postprocess import enforce_bone_lengths
 from kinegraph.options import resolve_options
 from kinegraph.pipeline import MotionPipeline
@@ -161,7 +163,8 @@ def torch_frames(trained: TrainedFrames, pipe: MotionPipeline, prompt: str, seed
         latent = (after.sqrt() * clean + (1 - after).sqrt() * noise).float()
     mean, std = (np.array(values, dtype=np.float32) for values in (manifest.features.mean, manifest.features.std))
     features = latent.reshape(-1, len(mean)).numpy()[:frames] / part.scale * std + mean
-    return enforce_bone_lengths(layout_of(len(mean)).to_joints(features), pipe.decoder.bones)
+    joints = fused_joints(features) if manifest.features.layout == LAYOUT else layout_of(len(mean)).to_joints(features)
+    return enforce_bone_lengths(joints, pipe.decoder.bones)
 
 
 def pipeline_difference(folder: Path, trained: TrainedFrames) -> float:

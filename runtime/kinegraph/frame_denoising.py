@@ -5,6 +5,7 @@
     eps = (x_t - sqrt(a) x_0) / sqrt(1 - a)
     Eq. A, 3, 4, 7-10, DDIM             as in `denoising`: the coefficients of a composition sum to 1, so that composing
                                         noise is composing clean frames
+    joints                              the motion that positions and velocities both say (`motion.fusion`)
 
 `FrameSampler` and `FrameDecoder` have the interfaces of `LatentSampler` and `MotionDecoder`.
 """
@@ -36,6 +37,10 @@ from kinegraph.denoising import (
 from kinegraph.diffusion.composition import AttentionRouting, CompositionWeights
 from kinegraph.diffusion.sampling import DdimCoefficients, LevelPlan, OnStep, PredictNoise, subrange_progress
 from kinegraph.errors import InvalidInputError
+from kinegraph.motion.features import LAYOUT
+from kinegraph.motion.fusion import certainty_of, fused_joints
+from kinegraph.motion.known_features import KnownFeatures
+from kinegraph.motion.postprocess import enforce_bone_lengths
 from kinegraph.options import GenerateOptions
 
 
@@ -162,9 +167,17 @@ class FrameDecoder(MotionDecoder):
     def joints(self, latents: FloatArray, frames: Sequence[int], level: str) -> list[FloatArray]:
         """Read the joints of every sample off its features; see `decoding.decode_joints`."""
         features = ungroup(latents, self.manifest)
-        return joints_of_features(
-            [rows[:count] for rows, count in zip(features, frames, strict=True)], self.manifest, self.bones
-        )
+        return [self._read(rows[:count]) for rows, count in zip(features, frames, strict=True)]
+
+    def joints_with_known(self, latents: FloatArray, frames: int, known: KnownFeatures) -> FloatArray:
+        """Read the joints (frames, 22, 3) of one sample (1, C, z) of which something is known, and stays as it is."""
+        (features,) = ungroup(latents, self.manifest)
+        return self._read(features[:frames], certainty_of(known)[:frames])
+
+    def _read(self, features: FloatArray, certainty: DoubleArray | None = None) -> FloatArray:
+        if self.manifest.features.layout != LAYOUT:
+            return joints_of_features([features], self.manifest, self.bones)[0]
+        return enforce_bone_lengths(fused_joints(features, certainty), self.bones)
 
 
 def ungroup(latents: FloatArray, manifest: Manifest) -> FloatArray:

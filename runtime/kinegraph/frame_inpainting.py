@@ -20,7 +20,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinegraph.arrays import DoubleArray, FloatArray
-from kinegraph.bundle.contract import FRAMES
 from kinegraph.bundle.manifest import Manifest
 from kinegraph.clip import Clip
 from kinegraph.conditioning import Conditions
@@ -32,7 +31,7 @@ from kinegraph.diffusion.composition import CompositionWeights
 from kinegraph.diffusion.sampling import DdimCoefficients, OnStep, PredictNoise
 from kinegraph.errors import InvalidInputError
 from kinegraph.feasibility import frame_of
-from kinegraph.frame_denoising import FrameSampler, clean_of, group, noise_of, ungroup
+from kinegraph.frame_denoising import FrameDecoder, FrameSampler, clean_of, group, noise_of, ungroup
 from kinegraph.keeping import PARTS, Kept
 from kinegraph.motion.features import features_from_joints
 from kinegraph.motion.known_features import Anchor, KnownFeatures, lead_root
@@ -216,6 +215,7 @@ def sample_held(
         InvalidInputError: with `strict`, something was missed by more than `constrained_denoising.MISSED`.
     """
     assert isinstance(sampler, FrameSampler)
+    assert isinstance(decoder, FrameDecoder)
     manifest, frames = sampler.manifest, options.frames
     if not wanted.acts:
         latents = sampler.sample(conditions, weights, [options], on_step)
@@ -224,7 +224,7 @@ def sample_held(
     known = known_of(wanted, frames, sampler.whole_frames(frames), manifest.fps)
     hold = HeldFrames.of(known, manifest)
     latents = sample_known(sampler, conditions, weights, options, hold, wanted.begin, on_step)
-    (joints,) = decoder.joints(latents, [frames], FRAMES)
+    joints = decoder.joints_with_known(latents, frames, known)
     return told_clip(nearer(joints, wanted, options, manifest.fps), wanted, options, caption, manifest)
 
 

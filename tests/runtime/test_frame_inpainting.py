@@ -119,9 +119,12 @@ def test_a_placed_end_is_where_it_is(toy: MotionPipeline, walk: Clip) -> None:
 
 
 def test_legs_are_kept_in_the_world_and_the_rest_is_new(toy: MotionPipeline, walk: Clip) -> None:
-    edited, before = toy.edit(walk, WAVE, keep="legs", **ALONE), start_at_origin(walk.joints)
+    edited, before = toy.edit(walk, WAVE, keep="legs", **HELD), start_at_origin(walk.joints)
     legs, wrist = list(PARTS["legs"]), JOINT_INDEX["right_wrist"]
     assert distance(edited.joints[:, legs], before[:, legs]) < EXACT
+    # not mended, the pelvis shares what bones of the toy's poor arms and back lack
+    alone = toy.edit(walk, WAVE, keep="legs", **ALONE)
+    assert distance(alone.joints[:, legs], before[:, legs]) < 0.04
     assert distance(edited.joints[:, wrist], before[:, wrist]) > 0.1
     assert edited.misses[-1].what == "what is kept" and edited.misses[-1].worst < EXACT
 

@@ -22,6 +22,7 @@ import numpy as np
 from kinegraph.arrays import DoubleArray, FloatArray, Floats
 from kinegraph.motion.skeleton import FEET, HORIZONTAL, JOINTS, facing_angle
 
+LAYOUT: Final = "joints-137"
 YAW_VELOCITY: Final = slice(0, 1)
 ROOT_VELOCITY: Final = slice(1, 3)
 HEIGHT: Final = slice(3, 4)
