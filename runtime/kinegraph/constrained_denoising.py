@@ -94,8 +94,15 @@ class Wanted:
     """Where an edit begins at the finest level."""
 
     @staticmethod
-    def check(constraints: object, weight: object, fix: object, strict: bool, sampler: LatentSampler) -> Wanted:
-        """Check everything that needs no clip.
+    def check(
+        constraints: object,
+        weight: object,
+        fix: object,
+        strict: bool,
+        sampler: LatentSampler,
+        most: int | None = None,
+    ) -> Wanted:
+        """Check everything that needs no clip, which has `most` frames; None is what the bundle makes at a time.
 
         Raises:
             InvalidInputError: no constraints, a weight that is none, a bundle of other features, or one without
@@ -108,7 +115,7 @@ class Wanted:
             raise InvalidInputError(
                 f"constraint_weight must be 0 to {MAX_WEIGHT:g}, not {short_repr(weight)}; 1 is usual, 0 is without"
             )
-        checked, _ = check_constraints(constraints, manifest.frames.max, manifest.fps)
+        checked, _ = check_constraints(constraints, most or manifest.frames.max, manifest.fps)
         if sampler.space == LATENT:
             require_gradients(sampler)
         require_layout(manifest)

@@ -1,4 +1,4 @@
-"""Known frames and joints in skeleton space: they are held at every step, and the network makes the rest to them.
+"""Known frames, joints and places in skeleton space: held at every step, so that the network makes the rest to them.
 
 MDM edits motions so (Tevet et al., 2023, section 3, "Editing"). At each step, with x_0 the guided and composed
 prediction of the clean frames:
@@ -24,7 +24,7 @@ from kinegraph.bundle.manifest import Manifest
 from kinegraph.clip import Clip
 from kinegraph.conditioning import Conditions
 from kinegraph.constrained_denoising import BegunPrediction, EncodedClip, Wanted, corrected, told_clip
-from kinegraph.constraints import Constraint, EndPose, Keyframe, StartPose
+from kinegraph.constraints import Constraint, EndPose, Keyframe, Path, StartPose, Waypoint
 from kinegraph.decoding import MotionDecoder
 from kinegraph.denoising import LatentSampler, sample_hierarchy
 from kinegraph.diffusion.composition import CompositionWeights
@@ -39,25 +39,30 @@ from kinegraph.motion.postprocess import lock_feet
 from kinegraph.motion.skeleton import PELVIS
 from kinegraph.options import GenerateOptions
 
-HELD: Final = (StartPose, EndPose, Keyframe)
-"""Constraints that say whole poses, and so can be held."""
+HELD: Final = (StartPose, EndPose, Keyframe, Path, Waypoint)
+"""Constraints that can be held: whole poses, and places of the root."""
+PATH_STEP: Final = 0.25
+"""Seconds between the places of a path that are held; between them a body sways as it walks."""
 
 Hold = Callable[[FloatArray], FloatArray]
 """Clean frames (1, C, z) -> the same with what is known in its place."""
 
 
-def check_held(constraints: object, weight: object, fix: object, strict: bool, sampler: LatentSampler) -> Wanted:
+def check_held(
+    constraints: object, weight: object, fix: object, strict: bool, sampler: LatentSampler, most: int | None = None
+) -> Wanted:
     """Check constraints of a clip in skeleton space as far as that goes without it.
 
     Raises:
-        InvalidInputError: as in `Wanted.check`; also for one that is no pose.
+        InvalidInputError: as in `Wanted.check`; also for one that is not of `HELD`.
     """
-    wanted = Wanted.check(constraints, weight, fix, strict, sampler)
+    wanted = Wanted.check(constraints, weight, fix, strict, sampler, most)
     for index, constraint in enumerate(wanted.constraints):
         if not isinstance(constraint, HELD):
             raise InvalidInputError(
                 f"constraints[{index}] is a {type(constraint).__name__}, and such constraints pull in latent space: "
-                f"leave out space={sampler.space!r}, in which StartPose, EndPose and Keyframe are held, or it"
+                f"leave out space={sampler.space!r}, in which {', '.join(each.__name__ for each in HELD[:-1])} and "
+                f"{HELD[-1].__name__} are held, or it"
             )
     return wanted
 
@@ -83,7 +88,7 @@ def known_of(wanted: Wanted, frames: int, whole: int, fps: float) -> KnownFeatur
         known = _with_kept(known, wanted.kept)
     for constraint in wanted.constraints:
         if constraint.weight > 0:
-            known = _with_pose(known, constraint, frames, fps)
+            known = _with_constraint(known, constraint, frames, fps)
     return known
 
 
@@ -97,8 +102,15 @@ def _with_kept(known: KnownFeatures, kept: Kept) -> KnownFeatures:
     return known
 
 
-def _with_pose(known: KnownFeatures, constraint: Constraint, frames: int, fps: float) -> KnownFeatures:
+def _with_constraint(known: KnownFeatures, constraint: Constraint, frames: int, fps: float) -> KnownFeatures:
     match constraint:
+        case Path():
+            for anchor in anchors_of(constraint, frames, fps):
+                known = known.with_anchor(anchor)
+        case Waypoint():
+            heading = None if constraint.heading is None else float(np.radians(constraint.heading))
+            frame = frame_of(constraint.seconds, frames, fps)
+            return known.with_anchor(Anchor(frame, constraint.position, heading))
         case StartPose():
             return known.with_poses(constraint.frames(fps), 0)
         case EndPose():
@@ -109,6 +121,22 @@ def _with_pose(known: KnownFeatures, constraint: Constraint, frames: int, fps: f
             known = known.with_poses(constraint.joints[None], frame)
             return known if constraint.anywhere else known.with_anchor(Anchor.of(constraint.joints, frame))
     return known
+
+
+def anchors_of(path: Path, frames: int, fps: float) -> list[Anchor]:
+    """List where the root of a clip of so many frames comes by on a path: every `PATH_STEP`, and at its end."""
+    moments, duration = np.arange(frames) / fps, (frames - 1) / fps
+    covered = np.flatnonzero(path.covers(moments, duration))
+    if not len(covered):
+        return []
+    every = max(round(PATH_STEP * fps), 1)
+    chosen = np.unique(np.append(covered[::every], covered[-1]))
+    positions, headings = path.positions(moments, duration)[chosen], path.headings(moments, duration)
+    faces = [None] * len(chosen) if headings is None else [float(angle) for angle in headings[chosen]]
+    return [
+        Anchor(int(frame), (float(x), float(z)), face)
+        for frame, (x, z), face in zip(chosen, positions, faces, strict=True)
+    ]
 
 
 @dataclass(frozen=True)
@@ -215,7 +243,6 @@ def sample_held(
         InvalidInputError: with `strict`, something was missed by more than `constrained_denoising.MISSED`.
     """
     assert isinstance(sampler, FrameSampler)
-    assert isinstance(decoder, FrameDecoder)
     manifest, frames = sampler.manifest, options.frames
     if not wanted.acts:
         latents = sampler.sample(conditions, weights, [options], on_step)
@@ -224,7 +251,21 @@ def sample_held(
     known = known_of(wanted, frames, sampler.whole_frames(frames), manifest.fps)
     hold = HeldFrames.of(known, manifest)
     latents = sample_known(sampler, conditions, weights, options, hold, wanted.begin, on_step)
-    joints = decoder.joints_with_known(latents, frames, known)
+    return read_held(decoder, latents, known, wanted, options, caption, manifest)
+
+
+def read_held(
+    decoder: MotionDecoder,
+    latents: FloatArray,
+    known: KnownFeatures,
+    wanted: Wanted,
+    options: GenerateOptions,
+    caption: str,
+    manifest: Manifest,
+) -> Clip:
+    """Read the clip of latents (1, C, z) in which something was held, and correct it; see `sample_held`."""
+    assert isinstance(decoder, FrameDecoder)
+    joints = decoder.joints_with_known(latents, options.frames, known)
     return told_clip(nearer(joints, wanted, options, manifest.fps), wanted, options, caption, manifest)
 
 

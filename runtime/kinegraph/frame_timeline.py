@@ -17,6 +17,7 @@ from kinegraph.bundle.contract import FRAMES
 from kinegraph.bundle.manifest import Manifest
 from kinegraph.clip import Clip
 from kinegraph.conditioning import ConditionEncoder, Conditions, GraphArrays, as_partial
+from kinegraph.constrained_denoising import Wanted, told_clip
 from kinegraph.decoding import MotionDecoder
 from kinegraph.denoising import LatentSampler, sample_hierarchy
 from kinegraph.diffusion.composition import CompositionWeights
@@ -31,6 +32,7 @@ from kinegraph.diffusion.temporal import (
 )
 from kinegraph.errors import InvalidInputError
 from kinegraph.frame_denoising import FrameSampler, part_of
+from kinegraph.frame_inpainting import HeldFrames, HeldPrediction, Hold, known_of, read_held
 from kinegraph.intervals import Interval
 from kinegraph.keeping import PARTS
 from kinegraph.motion.features import CONTACTS, HEIGHT, POSITIONS, VELOCITIES, WIDTH
@@ -86,16 +88,19 @@ def sample_timeline(
     intervals: Sequence[SampledInterval],
     options: GenerateOptions,
     on_step: OnStep | None = None,
+    hold: Hold | None = None,
 ) -> FloatArray:
     """Sample the groups of frames of a timeline, (1, C, z), from the noise of one seed.
 
-    A timeline of one interval is what `FrameSampler.sample` makes of it.
+    A timeline of one interval is what `FrameSampler.sample` makes of it. What is known is held in the composed
+    prediction, as `frame_inpainting` holds it in that of one text.
 
     Args:
         sampler: of the bundle.
         intervals: that cover the timeline.
         options: seed, steps and guidance of all; its length counts for nothing.
         on_step: see `sample_hierarchy`.
+        hold: what is known of the whole; None is nothing.
 
     Raises:
         Cancelled, NonFiniteError: see `sample_hierarchy`.
@@ -105,9 +110,13 @@ def sample_timeline(
     whole = replace(options, frames=length * sampler.part.per_token)
 
     def make_predictor(level: str, ddim: DdimCoefficients, coarse: FloatArray | None) -> PredictNoise:
-        return predict_timeline(sampler, intervals, options, length, ddim)
+        predict = predict_timeline(sampler, intervals, options, length, ddim)
+        if hold is None:
+            return predict
+        return HeldPrediction(predict, hold, sampler.schedule.alphas_cumprod[ddim.timesteps])
 
-    return sample_hierarchy([plan], sampler.initial_noise([whole]), make_predictor, sampler.schedule, on_step)[-1]
+    latents = sample_hierarchy([plan], sampler.initial_noise([whole]), make_predictor, sampler.schedule, on_step)[-1]
+    return latents if hold is None else hold(latents)
 
 
 def predict_timeline(
@@ -219,6 +228,7 @@ def make_timeline(
     options: GenerateOptions,
     overlap: float | None,
     on_step: OnStep | None = None,
+    wanted: Wanted | None = None,
 ) -> Clip:
     """Make the clip of a timeline.
 
@@ -230,9 +240,11 @@ def make_timeline(
         options: of all of them; the length counts for nothing.
         overlap: seconds that neighbours share; None is `OVERLAP`.
         on_step: see `sample_timeline`.
+        wanted: what else the whole has to do, see `frame_inpainting.check_held`.
 
     Raises:
-        InvalidInputError: see `interval_spans`, `features_of_parts`; or an overlap that is none.
+        InvalidInputError: see `interval_spans`, `features_of_parts`, `Wanted.for_clip`, `told_clip`; or an overlap that
+            is none.
         Cancelled, NonFiniteError: see `sample_timeline`.
     """
     assert isinstance(sampler, FrameSampler)
@@ -250,5 +262,11 @@ def make_timeline(
             SampledInterval(encoder.attend(graphs), each.weights, span, features_of_parts(parts, manifest))
         )
     whole = replace(options, frames=frames, seconds=frames / manifest.fps)
-    latents = sample_timeline(sampler, intervals, whole, on_step)
-    return decoder.decode(latents, [whole], [""])[0]
+    fitting = None if wanted is None else wanted.for_clip(frames, manifest.fps)
+    if fitting is None or not fitting.acts:
+        latents = sample_timeline(sampler, intervals, whole, on_step)
+        clip = decoder.decode(latents, [whole], [""])[0]
+        return clip if fitting is None else told_clip(clip.joints, fitting, whole, "", manifest)
+    known = known_of(fitting, frames, sampler.whole_frames(frames), manifest.fps)
+    latents = sample_timeline(sampler, intervals, whole, on_step, HeldFrames.of(known, manifest))
+    return read_held(decoder, latents, known, fitting, whole, "", manifest)

@@ -291,7 +291,7 @@ class MotionPipeline:
             foot_fix: lock standing feet where they stand (`motion.postprocess.lock_feet`).
             constraints: what the clip has to do besides (`kinegraph.constraints`): paths, places of joints, poses. The
                 clip tells how far it is from each (`Clip.misses`). Actions in order are then sampled at once. Skeleton
-                space takes poses alone (StartPose, EndPose, Keyframe), and holds them at every step.
+                space takes poses and places of the root (all but JointTarget and Loop), and holds them at every step.
             constraint_weight: of all constraints against the text, 0 to 100; 0 is the clip without them, bit for bit.
             constraint_fix: close in the joints what the model leaves of the way (`motion.reaching`).
             strict: refuse words that the bundle was never shown (`find_unknown`), constraints that nobody can meet, and
@@ -589,6 +589,9 @@ class MotionPipeline:
         guidance: Guidance | None = None,
         space: str = LATENT,
         foot_fix: bool = True,
+        constraints: Sequence[Constraint] | None = None,
+        constraint_weight: float = 1.0,
+        constraint_fix: bool = True,
         strict: bool = False,
         timeout: float | None = None,
         on_step: OnStep | None = None,
@@ -604,17 +607,26 @@ class MotionPipeline:
                 file.
             overlap: seconds that intervals which follow one another share, half on either side; None is 0.8. Of
                 skeleton space alone.
-            seed, steps, guidance, space, foot_fix, strict, timeout, on_step: as in `generate`.
+            constraints: what the whole has to do besides, in skeleton space.
+            seed, steps, guidance, space, foot_fix, constraint_weight, constraint_fix, strict, timeout, on_step: as in
+                `generate`.
 
         Raises:
             InvalidInputError, Cancelled, NonFiniteError: as in `generate`; also intervals that are too short or
-                too long for the model, or that latent space cannot take.
+                too long for the model, or intervals and constraints that latent space cannot take.
         """
         from kinegraph.intervals import check_intervals
 
         deadline = _check_call(timeout, on_step, strict=strict)
         timeline = check_intervals(intervals)
         pipe = self.in_space(space)
+        most = round(max(each.end for each in timeline) * self.manifest.fps)
+        wanted = pipe._check_constraints(constraints, constraint_weight, constraint_fix, strict=strict, most=most)
+        if wanted is not None and space == LATENT:
+            raise InvalidInputError(
+                'constraints on intervals are for space="frames"; in latent space give them to `generate`, or to '
+                "`kinegraph.timeline.generate_timeline` for sentences one after another"
+            )
         options = self._resolve_each(
             [each.end - each.start for each in timeline],
             seed=seed,
@@ -629,8 +641,8 @@ class MotionPipeline:
             self._encode_part(graph, option, own_length=False, is_known=not words)
             for graph, option, words in deadline.each(zip(graphs, options, unknown, strict=True))
         ]
-        clip = pipe._make_timeline(timeline, parts, options[0].seed, overlap, deadline.watch(on_step))
-        notes = tuple(dict.fromkeys(note for part in parts for note in part.notes))
+        clip = pipe._make_timeline(timeline, parts, options[0].seed, overlap, deadline.watch(on_step), wanted)
+        notes = tuple(dict.fromkeys([*(note for part in parts for note in part.notes), *clip.notes]))
         text = "; ".join(each.caption for each in timeline)
         return replace(clip, text=text, unknown=_once_each(unknown), notes=notes)
 
@@ -997,25 +1009,31 @@ class MotionPipeline:
 
         return sample_constrained(*stages, conditions, weights, options, caption, fitting, on_step, on_latent)
 
-    def _check_constraints(self, constraints: object, weight: object, fix: object, *, strict: bool) -> Wanted | None:
+    def _check_constraints(
+        self, constraints: object, weight: object, fix: object, *, strict: bool, most: int | None = None
+    ) -> Wanted | None:
         """Check constraints as far as that goes without a clip; None where there are none, and then nothing is loaded.
+
+        `most` is the frames that the clip has at most; None is what the bundle makes at a time.
 
         Raises:
             InvalidInputError: see `constrained_denoising.Wanted.check` and `frame_inpainting.check_held`.
         """
         if constraints is None or (isinstance(constraints, list | tuple) and not constraints):
             return None
-        return self._check_wanted(constraints, weight, fix, strict=strict)
+        return self._check_wanted(constraints, weight, fix, strict=strict, most=most)
 
-    def _check_wanted(self, constraints: object, weight: object, fix: object, *, strict: bool) -> Wanted:
+    def _check_wanted(
+        self, constraints: object, weight: object, fix: object, *, strict: bool, most: int | None = None
+    ) -> Wanted:
         """Check constraints, or none, as far as that goes without a clip; see `_check_constraints`."""
         if self.sampler.space != LATENT:
             from kinegraph.frame_inpainting import check_held
 
-            return check_held(constraints, weight, fix, strict, self.sampler)
+            return check_held(constraints, weight, fix, strict, self.sampler, most)
         from kinegraph.constrained_denoising import Wanted
 
-        return Wanted.check(constraints, weight, fix, strict, self.sampler)
+        return Wanted.check(constraints, weight, fix, strict, self.sampler, most)
 
     def _make_together(
         self, sentences: Sequence[_EncodedSentence], seeds: Sequence[int], takes: int, on_step: OnStep | None
@@ -1044,6 +1062,7 @@ class MotionPipeline:
         seed: int,
         overlap: float | None,
         on_step: OnStep | None,
+        wanted: Wanted | None = None,
     ) -> Clip:
         """Make the clip of a timeline, see `timeline`; `parts` are its encoded intervals."""
         if self.sampler.space != LATENT:
@@ -1054,7 +1073,8 @@ class MotionPipeline:
                 for each, part in zip(timeline, parts, strict=True)
             ]
             options = replace(parts[0].options, seed=seed)
-            return make_timeline(self.encoder, self.sampler, self.decoder, encoded, options, overlap, on_step)
+            stages = (self.encoder, self.sampler, self.decoder)
+            return make_timeline(*stages, encoded, options, overlap, on_step, wanted)
         if overlap is not None:
             raise InvalidInputError('overlap is for space="frames"; in latent space parts are blended as in a sequence')
         groups = self._compose_groups(timeline, parts)

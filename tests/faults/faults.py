@@ -275,6 +275,22 @@ FAULTS: tuple[Fault, ...] = (
         "runtime/test_frame_inpainting.py -k loop_of_mdm",
     ),
     Fault(
+        4,
+        "a timeline in skeleton space lets its constraints go",
+        "frame_timeline.py",
+        "        if hold is None:\n            return predict",
+        "        if True:\n            return predict",
+        "runtime/test_frame_inpainting.py -k timeline_walks_a_path",
+    ),
+    Fault(
+        4,
+        "what is held moves with the velocities around it",
+        "motion/fusion.py",
+        "HELD, 1.0)",
+        "1.0, 1.0)",
+        "runtime/test_fusion.py -k what_is_known",
+    ),
+    Fault(
         6,
         "a sequence continues from anywhere",
         "pipeline.py",

@@ -30,6 +30,25 @@ def test_a_file_becomes_a_clip(toy: MotionPipeline, toy_bundle: Path, here: Path
     np.testing.assert_array_equal(read("scene.npz").joints, expected.joints)
 
 
+def test_a_timeline_takes_a_path(toy: MotionPipeline, toy_bundle: Path, here: Path) -> None:
+    (here / "scene.txt").write_text(f"{WALKS} # 0 # 2\n", encoding="utf-8")
+    words = (
+        "timeline",
+        "scene.txt",
+        "--path",
+        "0,0 0.3,1",
+        "--constraint-weight",
+        "2",
+        "--seed",
+        "3",
+        "-o",
+        "scene.npz",
+    )
+    assert run(*words, "--space", "frames", bundle=toy_bundle) == 0
+    assert np.linalg.norm(read("scene.npz").joints[-1, 0, [0, 2]] - [0.3, 1.0]) < 0.02
+    assert run(*words, "--force", bundle=toy_bundle) == 2
+
+
 def test_commands_sample_in_skeleton_space(toy: MotionPipeline, toy_bundle: Path, here: Path) -> None:
     options = ("--seconds", "2", "--seed", "3", "--space", "frames")
     assert run("generate", WALKS, *options, "-o", "walk.npz", bundle=toy_bundle) == 0

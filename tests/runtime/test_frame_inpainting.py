@@ -16,16 +16,17 @@ from kinegraph import Clip, MotionPipeline
 from kinegraph.bundle.contract import FRAMES
 from kinegraph.cli import main
 from kinegraph.constrained_denoising import Wanted, told_clip
-from kinegraph.constraints import EndPose, JointTarget, Keyframe, StartPose, Waypoint
+from kinegraph.constraints import EndPose, JointTarget, Keyframe, Path, StartPose, Waypoint
 from kinegraph.diffusion.sampling import StepInfo, ddim_coefficients
 from kinegraph.errors import Cancelled, InvalidInputError
 from kinegraph.formats import read
 from kinegraph.frame_denoising import FrameSampler, group
-from kinegraph.frame_inpainting import HeldFrames, encode_frames, sample_known
+from kinegraph.frame_inpainting import HeldFrames, anchors_of, encode_frames, sample_known
+from kinegraph.intervals import Interval
 from kinegraph.keeping import PARTS
 from kinegraph.motion.energies import to_own_frames
 from kinegraph.motion.known_features import Anchor, KnownFeatures
-from kinegraph.motion.skeleton import JOINT_INDEX, PELVIS, start_at_origin
+from kinegraph.motion.skeleton import JOINT_INDEX, PELVIS, facing_angle, start_at_origin
 from kinegraph.options import resolve_options
 from support.motions import walk as walking
 
@@ -166,6 +167,48 @@ def test_poses_are_held_in_compositions_takes_and_streams(toy: MotionPipeline, w
     assert frames.shape == (48, 22, 3) and steps[22:26].max() < 0.4
 
 
+def test_a_path_and_a_waypoint_are_held_while_the_body_sways_between(toy: MotionPipeline) -> None:
+    path = Path([(0, 0), (0.4, 1.0), (-0.3, 2.0)])
+    options = {**ALONE, "seconds": 2.2}
+    clip, plain = toy.generate(WALK, constraints=[path], **options), toy.generate(WALK, **options)
+    places = path.positions(np.arange(44) / 20, 43 / 20)
+    # joints are the least squares of positions and velocities, and bones are made rigid, so to a centimetre
+    off = np.linalg.norm(clip.joints[:, PELVIS, [0, 2]] - places, axis=-1)
+    assert off[[5, 20, 43]].max() < 0.06 and off.mean() < 0.06
+    assert np.linalg.norm(plain.joints[:, PELVIS, [0, 2]] - places, axis=-1).mean() > 0.15
+    mended = toy.generate(WALK, constraints=[path], seconds=2.2, **HELD)
+    assert mended.misses[0].metres < 0.01
+    waypoint = Waypoint(1.0, (0.5, 0.9), heading=30)
+    at = toy.generate(WALK, constraints=[waypoint], **options).joints[20]
+    assert np.linalg.norm(at[PELVIS, [0, 2]] - [0.5, 0.9]) < 0.06
+    assert float(facing_angle(at[None])[0]) == pytest.approx(np.radians(30), abs=0.2)
+
+
+def test_a_path_is_held_at_its_own_moments() -> None:
+    anchors = anchors_of(Path([(0, 0), (0, 1)], times=[1.0, 2.0], heading="along"), 60, 20)
+    assert [anchor.frame for anchor in anchors] == [20, 25, 30, 35, 40]
+    np.testing.assert_allclose([anchor.position for anchor in anchors], [(0, z) for z in (0, 0.25, 0.5, 0.75, 1)])
+    assert all(anchor.heading == 0 for anchor in anchors)
+    assert anchors_of(Path([(0, 0), (0, 1)], times=[4.0, 5.0]), 60, 20) == []
+
+
+def test_a_timeline_walks_a_path_with_an_arm_of_its_own(toy: MotionPipeline) -> None:
+    timeline = [Interval(WALK, 0, 2.4, ("legs", "torso")), Interval(WAVE, 0.4, 2.0, ("right arm",))]
+    path = Path([(0, 0), (0.5, 1.2), (0, 2.2)])
+    clip = toy.timeline(timeline, constraints=[path], **HELD)
+    assert clip.misses[0].metres < 0.02 and clip.joints.shape == (48, 22, 3)
+    without = toy.timeline(timeline, **HELD)
+    unweighed = toy.timeline(timeline, constraints=[path], constraint_weight=0, **HELD)
+    np.testing.assert_array_equal(unweighed.joints, without.joints)
+    assert unweighed.misses[0].metres > 0.1
+    # longer than what the bundle makes at a time
+    long = [Interval(WALK, 0, 6), Interval(BOW, 6, 12)]
+    clip = toy.timeline(long, constraints=[Waypoint(11, (0, 1.5))], **HELD)
+    assert clip.misses[0].metres < 0.02
+    with pytest.raises(InvalidInputError, match="constraints on intervals are for"):
+        toy.timeline([Interval(WALK, 0, 2)], constraints=[path])
+
+
 def test_no_weight_is_no_pose(toy: MotionPipeline, walk: Clip, bow: Clip) -> None:
     plain = toy.generate(WALK, seconds=2, **HELD)
     for options in ({"constraint_weight": 0}, {"constraints": [StartPose(bow, weight=0)]}):
@@ -200,7 +243,10 @@ def test_what_cannot_be_held_is_told(toy: MotionPipeline, walk: Clip) -> None:
         ({"keep": ["legs", "arms", "head", "torso"]}, "keep names all of the clip"),
         ({"keep": [(1.0, 9.0)]}, "must rise from 0 to 2.2 s"),
         ({"keep": "legs", "strength": 0}, "strength must be"),
-        ({"keep": "legs", "constraints": [Waypoint(1.0, (0, 1))]}, "a Waypoint, and such constraints pull in latent"),
+        (
+            {"keep": "legs", "constraints": [JointTarget("head", (0, 1, 0), 1.0)]},
+            "a JointTarget, and such constraints pull in latent",
+        ),
         ({"keep": "legs", "constraint_fix": 3}, "constraint_fix"),
         ({"keep": "legs", "constraint_weight": -1}, "constraint_weight must be"),
         ({"keep": "legs", "space": "time"}, "space must be one of latent, frames"),

@@ -91,6 +91,14 @@ def test_the_change_is_the_least_one() -> None:
     np.testing.assert_allclose((led - features)[steps][:, ROOT_VELOCITY].ravel(), least, atol=1e-9)
 
 
+def test_a_place_without_a_heading_leaves_the_heading() -> None:
+    features = shaken()
+    led = lead_root(features, np.ones(40, dtype=bool), [Anchor(10, (0.2, 0.6), None), Anchor(30, (0.5, 2.0), None)])
+    np.testing.assert_array_equal(led[:, 0], features[:, 0])
+    places = joints_from_features(led)[:, 0, [0, 2]]
+    np.testing.assert_allclose(places[[10, 30]], [(0.2, 0.6), (0.5, 2.0)], atol=1e-5)
+
+
 def test_a_motion_that_comes_by_stays_and_what_no_step_leads_to_is_missed() -> None:
     motion = walk(30, turning=0.04)
     features = features_from_joints(motion)

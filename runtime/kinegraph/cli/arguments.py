@@ -135,6 +135,7 @@ def add_timeline(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--overlap", type=float, metavar="S", help="seconds that neighbours share in skeleton space; default 0.8"
     )
+    add_constraints(parser)
     _add_space(parser)
     _add_sampling_and_output(parser)
 

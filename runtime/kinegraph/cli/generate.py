@@ -155,6 +155,7 @@ def timeline(args: argparse.Namespace) -> int:
 
     targets = check_targets(args)
     intervals = read_intervals(args.file)
+    constraints = parse_constraints(args)
     sampling = SamplingOptions.from_args(args)
 
     def make_clips(pipeline: MotionPipeline, on_step: OnStep) -> list[Clip]:
@@ -162,6 +163,8 @@ def timeline(args: argparse.Namespace) -> int:
             return pipeline.timeline(
                 intervals,
                 overlap=args.overlap,
+                constraints=constraints,
+                constraint_weight=args.constraint_weight,
                 space=args.space,
                 seed=seed,
                 on_step=on_step,

@@ -41,8 +41,8 @@ class Anchor:
     frame: int
     position: tuple[float, float]
     """Metres, x and z."""
-    heading: float
-    """Radians from +Z towards +X."""
+    heading: float | None
+    """Radians from +Z towards +X; None is free."""
 
     @classmethod
     def of(cls, pose: Floats, frame: int) -> Anchor:
@@ -139,21 +139,23 @@ def lead_root(features: Floats, free: NDArray[np.bool_], anchors: Sequence[Ancho
     Source: the projection of DDNM (Wang et al., 2023, Alg. 1) on the sums above, headings first.
     """
     led = np.array(features, dtype=np.float64)
-    start = 0
+    start, heading, place = 0, 0.0, np.zeros(2)
     for anchor in anchors:
         steps = start + np.flatnonzero(free[start : anchor.frame])
-        start = anchor.frame
-        if not len(steps):
-            continue
-        turn = anchor.heading - led[: anchor.frame, YAW_VELOCITY].sum()
-        led[steps, YAW_VELOCITY] += ((turn + np.pi) % (2 * np.pi) - np.pi) / len(steps)
-        headings = np.concatenate([[0.0], np.cumsum(led[:, 0])])[: anchor.frame]
-        cos, sin = np.cos(headings), np.sin(headings)
-        left, forward = led[: anchor.frame, ROOT_VELOCITY].T
-        x = (anchor.position[0] - (cos * left + sin * forward).sum()) / len(steps)
-        z = (anchor.position[1] - (cos * forward - sin * left).sum()) / len(steps)
-        change = np.stack([cos * x - sin * z, sin * x + cos * z], axis=-1)[steps]
-        led[steps, ROOT_VELOCITY] += change
-        for axis in (0, 1):
-            led[steps, VELOCITIES.start + 2 * axis : VELOCITIES.stop : 3] += change[:, axis : axis + 1]
+        span, start = slice(start, anchor.frame), anchor.frame
+        if len(steps) and anchor.heading is not None:
+            turn = anchor.heading - heading - led[span, 0].sum()
+            led[steps, YAW_VELOCITY] += ((turn + np.pi) % (2 * np.pi) - np.pi) / len(steps)
+        headings = heading + np.concatenate([[0.0], np.cumsum(led[span, 0])])
+        cos, sin = np.cos(headings[:-1]), np.sin(headings[:-1])
+        left, forward = led[span, ROOT_VELOCITY].T
+        reached = place + np.array([(cos * left + sin * forward).sum(), (cos * forward - sin * left).sum()])
+        if len(steps):
+            x, z = (np.array(anchor.position) - reached) / len(steps)
+            change = np.stack([cos * x - sin * z, sin * x + cos * z], axis=-1)[steps - span.start]
+            led[steps, ROOT_VELOCITY] += change
+            for axis in (0, 1):
+                led[steps, VELOCITIES.start + 2 * axis : VELOCITIES.stop : 3] += change[:, axis : axis + 1]
+            reached = np.array(anchor.position)
+        heading, place = float(headings[-1]), reached
     return led
