@@ -197,6 +197,11 @@ def test_a_timeline_walks_a_path_with_an_arm_of_its_own(toy: MotionPipeline) -> 
     path = Path([(0, 0), (0.5, 1.2), (0, 2.2)])
     clip = toy.timeline(timeline, constraints=[path], **HELD)
     assert clip.misses[0].metres < 0.02 and clip.joints.shape == (48, 22, 3)
+    held = toy.timeline(timeline, constraints=[path], constraint_fix=False, **HELD)
+    assert held.misses[0].metres < 0.06, "it is corrected in the joints, and not held"
+    alone = toy.generate(WALK, seconds=2.4, constraints=[path], **HELD)
+    of_one = toy.timeline([Interval(WALK, 0, 2.4)], constraints=[path], **HELD)
+    np.testing.assert_array_equal(of_one.joints, alone.joints)
     without = toy.timeline(timeline, **HELD)
     unweighed = toy.timeline(timeline, constraints=[path], constraint_weight=0, **HELD)
     np.testing.assert_array_equal(unweighed.joints, without.joints)
