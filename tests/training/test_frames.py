@@ -19,7 +19,8 @@ from kinegraph.errors import InvalidInputError
 from kinegraph_training import train_frames
 from kinegraph_training.checkpoints import read_checkpoint
 from kinegraph_training.config import FrameConfig, read_preset
-from kinegraph_training.frame_batches import FrameBatches, SimilarLengths
+from kinegraph_training.denoiser_batches import SimilarLengths
+from kinegraph_training.frame_batches import FrameBatches
 from kinegraph_training.frame_module import FrameModule, squared_error_of_frames, squared_error_of_steps
 from kinegraph_training.models.denoiser import DenoiserConfig, LatentShape
 from kinegraph_training.models.frame_denoiser import FrameDenoiser, SeamSmoothing, group_frames, hide_padding

@@ -5,14 +5,10 @@ Shapes: b samples, c groups of frames, g frames of a group, f features, z = g f,
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 
-import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
-from torch.utils.data import Sampler
 
 from kinegraph.bundle.contract import FRAMES
 from kinegraph_training.config import FrameConfig
@@ -21,9 +17,6 @@ from kinegraph_training.dataset import Dataset
 from kinegraph_training.denoiser_batches import DenoiserBatch, DenoiserBatches
 from kinegraph_training.models.frame_denoiser import group_frames
 from kinegraph_training.vae_batches import pad_clips
-
-POOL = 8
-"""Batches that are drawn together and then sorted by length: padding falls from a half to a tenth of the tokens."""
 
 
 @dataclass(frozen=True)
@@ -69,24 +62,3 @@ class FrameBatches(DenoiserBatches):
             token_mask=mask[:, ::group],
         )
         return self._drop_conditions(batch) if self.augment else batch
-
-
-class SimilarLengths(Sampler[list[int]]):
-    """Sampler of batches of clips of similar length: a pool is drawn by weight, sorted, cut and shuffled."""
-
-    def __init__(self, lengths: NDArray[np.int64], weights: NDArray[np.float64], batch: int, batches: int) -> None:
-        self.lengths, self.batch, self.batches = lengths, batch, batches
-        self.weights = torch.from_numpy(weights).double()
-
-    def __len__(self) -> int:
-        return self.batches
-
-    def __iter__(self) -> Iterator[list[int]]:
-        done = 0
-        while done < self.batches:
-            count = min(POOL, self.batches - done)
-            drawn = torch.multinomial(self.weights, count * self.batch, replacement=True).numpy()
-            ordered = drawn[np.argsort(self.lengths[drawn], kind="stable")].reshape(count, self.batch)
-            for index in torch.randperm(count).tolist():
-                yield ordered[index].tolist()
-            done += count

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from torch.utils.data import DataLoader, WeightedRandomSampler
+from torch.utils.data import DataLoader
 
 from kinegraph.arrays import FloatArray
 from kinegraph.bundle.contract import LEVELS
@@ -26,7 +26,7 @@ from kinegraph_training.data.caption_cache import CaptionGraphs, CaptionStates
 from kinegraph_training.data.clips import read_ids, without_motion
 from kinegraph_training.data.shown_captions import write_shown_captions
 from kinegraph_training.dataset import Dataset
-from kinegraph_training.denoiser_batches import DenoiserBatches
+from kinegraph_training.denoiser_batches import DenoiserBatches, SimilarLengths, caption_sizes
 from kinegraph_training.denoiser_command import fit_denoisers, read_command
 from kinegraph_training.denoiser_data import (
     BATCHES_PER_EPOCH,
@@ -91,13 +91,14 @@ def make_loaders(
     train, val, graphs = clips.train, clips.val, captions.graphs
     size = preset.denoiser_training.batch
     weights = sampling_weights(without_motion(train.clips), preset.data)
-    sampler = WeightedRandomSampler(weights.tolist(), BATCHES_PER_EPOCH * size)
+    sizes = caption_sizes(without_motion(train.clips), graphs)
+    sampler = SimilarLengths(sizes, weights, size, BATCHES_PER_EPOCH)
     collate = DenoiserBatches(train, latents.train, graphs, seed=preset.seed, augment=True, masked=captions.masked)
     collate_val = DenoiserBatches(val, latents.val, graphs, seed=preset.seed, augment=False)
     train_indices: Any = range(len(train.clips))
     val_indices: Any = range(len(val.clips))
     return (
-        DataLoader(train_indices, batch_size=size, sampler=sampler, collate_fn=collate, drop_last=True),
+        DataLoader(train_indices, batch_sampler=sampler, collate_fn=collate),
         DataLoader(val_indices, batch_size=size, collate_fn=collate_val),
     )
 

@@ -25,6 +25,7 @@ from kinegraph_training.checkpoints import read_checkpoint
 from kinegraph_training.config import Preset
 from kinegraph_training.data.clips import without_motion
 from kinegraph_training.dataset import Dataset
+from kinegraph_training.denoiser_batches import SimilarLengths
 from kinegraph_training.denoiser_command import fit_denoisers, read_command
 from kinegraph_training.denoiser_data import (
     BATCHES_PER_EPOCH,
@@ -33,7 +34,7 @@ from kinegraph_training.denoiser_data import (
     encode_captions,
     load_clips,
 )
-from kinegraph_training.frame_batches import FrameBatches, SimilarLengths
+from kinegraph_training.frame_batches import FrameBatches
 from kinegraph_training.frame_module import FrameModule
 from kinegraph_training.latents import read_vae
 from kinegraph_training.layouts import layout_of
