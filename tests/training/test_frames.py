@@ -6,6 +6,7 @@ import argparse
 import shutil
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -19,7 +20,8 @@ from kinegraph.errors import InvalidInputError
 from kinegraph_training import train_frames
 from kinegraph_training.checkpoints import read_checkpoint
 from kinegraph_training.config import FrameConfig, read_preset
-from kinegraph_training.denoiser_batches import SimilarLengths
+from kinegraph_training.data.caption_cache import CaptionStates
+from kinegraph_training.denoiser_batches import SimilarLengths, caption_sizes
 from kinegraph_training.frame_batches import FrameBatches
 from kinegraph_training.frame_module import FrameModule, squared_error_of_frames, squared_error_of_steps
 from kinegraph_training.models.denoiser import DenoiserConfig, LatentShape
@@ -125,6 +127,12 @@ def test_batches_are_of_clips_of_similar_length() -> None:
     assert spread < 0.4 * np.ptp(lengths[100:]), f"{spread:.0f} frames of padding"
     order = [lengths[batch].mean() for batch in batches]
     assert order != sorted(order)
+
+
+def test_captions_are_as_long_as_their_tokens() -> None:
+    graphs = CaptionStates(["one", "two", "three"], np.array([0, 4, 10, 12]), np.zeros((12, 3), dtype=np.float16))
+    clips = [SimpleNamespace(captions=["one", "two"]), SimpleNamespace(captions=["three"])]
+    np.testing.assert_array_equal(caption_sizes(clips, graphs), [5.0, 2.0])
 
 
 def test_the_paper_preset_is_the_papers_network() -> None:
