@@ -82,7 +82,10 @@ class TrainedFrames:
             layers=config.layers,
             nodes=config.kinds_seen(FRAMES),
         )
-        return FramesPart(level, self.frames.frames_per_token, self.frames.scale, steps, guidance, "clean")
+        frames = self.frames
+        return FramesPart(
+            level, frames.frames_per_token, frames.scale, steps, guidance, "clean", beta_end=frames.beta_end
+        )
 
     def modules(self) -> dict[str, nn.Module]:
         """Wrap it as graphs, by the graph's name."""
@@ -149,16 +152,16 @@ def torch_frames(trained: TrainedFrames, pipe: MotionPipeline, prompt: str, seed
     tokens = part.token_count(frames)
     rng = np.random.Generator(np.random.PCG64(seed))
     latent = torch.from_numpy(rng.standard_normal((tokens, part.level.latent_width), dtype=np.float32))[None]
-    alphas, stride = alpha_bar(), 1000 // part.steps
-    for index in reversed(range(part.steps)):
-        time = index * stride + 1
+    alphas, stride = alpha_bar(beta_end=part.beta_end), 1000 // part.steps
+    for index in range(part.steps):
+        time = round(1000 - index * 1000 / part.steps) - 1
         clock = trained.denoiser.clock(torch.tensor([time]), torch.tensor([tokens * part.per_token]))
         text, null = (
             trained.denoiser.step(latent, clock, known.context, known.bias[:, None, None, :])
             for known in (conditions["text"], conditions["null"])
         )
         clean = null + part.guidance * (text - null)
-        now, after = alphas[time], alphas[max(time - stride, 0)]
+        now, after = alphas[time], alphas[time - stride] if time >= stride else torch.ones(())
         noise = (latent - now.sqrt() * clean) / (1 - now).sqrt()
         latent = (after.sqrt() * clean + (1 - after).sqrt() * noise).float()
     mean, std = (np.array(values, dtype=np.float32) for values in (manifest.features.mean, manifest.features.std))

@@ -37,9 +37,9 @@ class SamplingRequest:
     """Step sizes gamma_attn and gamma_reg (EnergyMoGen, Eq. 3, 4) for the text."""
 
 
-def alpha_bar(train_steps: int = 1000) -> Tensor:
+def alpha_bar(train_steps: int = 1000, beta_end: float = 0.012) -> Tensor:
     """Compute alpha-bar (train_steps,) of the scaled-linear schedule from its definition."""
-    return torch.cumprod(1 - torch.linspace(0.00085**0.5, 0.012**0.5, train_steps, dtype=torch.float64) ** 2, dim=0)
+    return torch.cumprod(1 - torch.linspace(0.00085**0.5, beta_end**0.5, train_steps, dtype=torch.float64) ** 2, dim=0)
 
 
 @dataclass(frozen=True)

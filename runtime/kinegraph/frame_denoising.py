@@ -35,7 +35,14 @@ from kinegraph.denoising import (
     bind_step_inputs,
 )
 from kinegraph.diffusion.composition import AttentionRouting, CompositionWeights
-from kinegraph.diffusion.sampling import DdimCoefficients, LevelPlan, OnStep, PredictNoise, subrange_progress
+from kinegraph.diffusion.sampling import (
+    DdimCoefficients,
+    LevelPlan,
+    NoiseSchedule,
+    OnStep,
+    PredictNoise,
+    subrange_progress,
+)
 from kinegraph.errors import InvalidInputError
 from kinegraph.motion.features import LAYOUT
 from kinegraph.motion.fusion import certainty_of, fused_joints
@@ -78,6 +85,11 @@ class FrameSampler(LatentSampler):
     def part(self) -> FramesPart:
         """What the manifest says of skeleton space."""
         return part_of(self.manifest)
+
+    @property
+    def schedule(self) -> NoiseSchedule:
+        """Schedule that skeleton space is sampled with."""
+        return self.part.schedule(self.manifest.schedule.noise)
 
     def sample(
         self,

@@ -192,7 +192,7 @@ def sample_known(
 ) -> FloatArray:
     """Sample groups of frames (1, C, z) in which something is held.
 
-    A run ends at alpha_bar[0], which is not quite 1, so what is known is put into its place once more.
+    What is known is put into its place once more at the end, for rounding.
 
     Args:
         sampler, conditions, weights: as in `LatentSampler.sample`; one sample.

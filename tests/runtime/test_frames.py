@@ -14,7 +14,7 @@ pytest.importorskip("spacy")
 
 from kinegraph import MotionPipeline
 from kinegraph.bundle.contract import FRAMES
-from kinegraph.constraints import Waypoint
+from kinegraph.constraints import JointTarget
 from kinegraph.diffusion.composition import CompositionWeights
 from kinegraph.diffusion.sampling import StepInfo, ddim_coefficients
 from kinegraph.errors import Cancelled, InvalidInputError
@@ -148,7 +148,7 @@ def by_hand(toy: MotionPipeline, texts: Sequence[str], lengths: Sequence[int], s
         m3 = bound(0, shared, 0.0)(x[:, first - shared : first], step)
         middle = m1[:, first - shared :] + m2[:, :shared] - m3
         eps = np.concatenate([m1[:, : first - shared], middle, m2[:, shared:]], axis=1)
-        now, after = alphas[time], alphas[max(time - sampler.schedule.train_steps // steps, 0)]
+        now, after = alphas[time], alphas[time - 200] if time >= 200 else 1.0  # 5 of 1,000 steps, the last one clean
         clean = (x - np.sqrt(1 - now) * eps) / np.sqrt(now)
         x = (np.sqrt(after) * clean + np.sqrt(1 - after) * eps).astype(np.float32)
     return ungroup(x, toy.manifest)[0]
@@ -228,7 +228,7 @@ def test_steps_are_reported_and_can_be_stopped(toy: MotionPipeline) -> None:
         ({"space": None}, "space must be one of"),
         ({"steps": (3, 3, 3)}, "steps must be one number or 1"),
         ({"steps": {"motion": 3}}, "unknown level 'motion'"),
-        ({"constraints": [Waypoint(1.0, (0, 1))]}, "such constraints pull in latent space"),
+        ({"constraints": [JointTarget("head", (0, 1, 0), 1.0)]}, "such constraints pull in latent space"),
     ],
 )
 def test_what_skeleton_space_does_not_take(toy: MotionPipeline, options: Any, message: str) -> None:
@@ -272,3 +272,17 @@ def test_a_sequence_by_energy_is_a_timeline_of_its_parts(toy: MotionPipeline) ->
     np.testing.assert_array_equal(alone.joints, toy.generate(WALKS, seconds=2.0, seed=4, space=FRAMES).joints)
     jumps = np.linalg.norm(np.diff(clip.joints, axis=0), axis=-1).max(axis=1)
     assert jumps[36:44].max() < 3 * np.percentile(jumps, 95), "a jump where two parts meet"
+
+
+def test_a_run_starts_at_the_last_timestep_and_ends_at_the_clean_frames(toy: MotionPipeline) -> None:
+    schedule = replace(sampler_of(toy).part, beta_end=0.0225).schedule(toy.manifest.schedule.noise)
+    betas = np.linspace(np.sqrt(0.00085), np.sqrt(0.0225), 1000) ** 2
+    np.testing.assert_allclose(schedule.alphas_cumprod, np.cumprod(1 - betas), rtol=1e-10)
+    assert schedule.alphas_cumprod[-1] < 1.1e-4 < toy.manifest.schedule.noise.alphas_cumprod[-1] / 20
+    ddim = ddim_coefficients(schedule, 20)
+    assert ddim.timesteps[0] == 999 and ddim.timesteps[-1] == 49
+    # a perfect prediction of the noise gives the clean frames back
+    clean, noise = np.random.default_rng(0).standard_normal((2, 3))
+    alpha = schedule.alphas_cumprod[49]
+    noisy = np.sqrt(alpha) * clean + np.sqrt(1 - alpha) * noise
+    np.testing.assert_allclose(ddim.keep[-1] * noisy + ddim.move[-1] * noise, clean, atol=1e-12)

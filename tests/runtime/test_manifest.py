@@ -18,7 +18,7 @@ from support.synthetic_bundle import LEVEL_SPECS, bundle_files, manifest_for, se
 
 FREE_MAPS = {("provenance",), ("scope",), ("parity",), ("training",), ("quality",)}
 OPTIONAL = [("files", name) for name in ("parser.bin", "encoder.onnx")]
-WITH_DEFAULT = [("family",), ("text", "max_pieces")]
+WITH_DEFAULT = [("family",), ("text", "max_pieces"), ("frames_part", "beta_end")]
 """Keys that older bundles do not have."""
 REQUIRED = [
     path
@@ -51,7 +51,7 @@ def test_nothing_in_a_manifest_can_be_changed() -> None:
 
 def test_keys_of_older_bundles_have_their_defaults() -> None:
     value = copy.deepcopy(GOOD)
-    del value["family"], value["text"]["max_pieces"]
+    del value["family"], value["text"]["max_pieces"], value["frames_part"]["beta_end"]
     assert decode_manifest(sealed(value)) == manifest_for(bundle_files())
 
 
@@ -130,6 +130,8 @@ def test_skeleton_space_is_optional_all_together() -> None:
         ({"steps": 21}, "steps"),
         ({"guidance": 21.0}, "guidance must be 0 to 20"),
         ({"prediction": "noise"}, "prediction must be one of"),
+        ({"beta_end": 1.0}, "beta_end must be above 0 and below 1, found 1.0"),
+        ({"beta_end": 1e-4}, "a schedule needs"),
         ({"level": {**GOOD["frames_part"]["level"], "tokens": 5}}, "tokens must be enough for 24 frames"),
         ({"level": {**GOOD["frames_part"]["level"], "heads": 3}}, "heads must divide 8"),
         ({"level": {**GOOD["frames_part"]["level"], "layers": 10**9}}, "layers must be 1 to"),

@@ -93,6 +93,10 @@ class FrameConfig:
     """Factor of the normalised features. Neighbouring features and frames tell the same, so noise that would drown each
     of them leaves the whole to be seen; smaller values are drowned earlier (Chen, "On the Importance of Noise
     Scheduling for Diffusion Models", 2023)."""
+    beta_end: float = 0.0225
+    """Last beta of the noise schedule: at the last timestep alpha_bar is 1e-4, and in latent space 5e-3. With that of
+    latent space, a running clip's speed was seen through the noise of the last timestep, where a run starts without it:
+    clips ran at 1.2 m/s, and at 3 in latent space (see `kinegraph.bundle.frames_part`)."""
     width: int | None = None
     """This and all that follow: None is that of the latent denoisers."""
     layers: int | None = None

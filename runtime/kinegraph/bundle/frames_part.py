@@ -31,6 +31,7 @@ from kinegraph.bundle.contract import (
     denoiser_agd,
     modulation,
 )
+from kinegraph.diffusion.sampling import NoiseSchedule
 
 
 @dataclass(frozen=True)
@@ -49,6 +50,21 @@ class FramesPart:
     """Guidance scale of a call that leaves it out."""
     prediction: Literal["clean"]
     """What the denoiser predicts."""
+    beta_end: float = 0.012
+    """Last beta of the noise schedule, whose other values are those of the latent levels.
+
+    What all frames of a clip share, such as its speed, shows through noise that drowns each of them. A run starts at
+    noise alone, so in training the last timestep must hide it, too (Lin et al., "Common Diffusion Noise Schedules and
+    Sample Steps are Flawed", 2024).
+    """
+
+    def schedule(self, latent: NoiseSchedule) -> NoiseSchedule:
+        """Make the schedule of skeleton space of that of the latent levels.
+
+        A run starts at the last timestep, and ends at the predicted clean frames: the noise of alpha_bar[0], harmless
+        in a latent, is a centimetre where joints are read off directly.
+        """
+        return replace(latent, beta_end=self.beta_end, spacing="trailing", ends_clean=True)
 
     def token_count(self, frames: int) -> int:
         """Return the groups of frames of a clip, rounded up."""
@@ -109,6 +125,7 @@ def find_faults(part: FramesPart, features: int, most_frames: int, sizes: Mappin
         ),
         (level.heads > 0 and level.width % level.heads == 0, "level.heads", f"must divide {level.width}"),
         (bool(level.nodes), "level.nodes", "must not be empty"),
+        (0 < part.beta_end < 1, "beta_end", f"must be above 0 and below 1, found {part.beta_end}"),
         (0 < part.scale <= 100, "scale", f"must be above 0 and at most 100, found {part.scale}"),
         (0 <= part.guidance <= 20, "guidance", f"must be 0 to 20, found {part.guidance}"),
     ]

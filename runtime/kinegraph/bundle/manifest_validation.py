@@ -212,7 +212,7 @@ def _check_frames_part(manifest: Manifest) -> None:
     for key, message in find_faults(part, len(manifest.features.mean), manifest.frames.max, MAX_DIMS):
         raise BundleFormatError(f"manifest.json: frames_part.{key} {message}")
     try:
-        manifest.schedule.noise.timesteps(part.steps)
+        part.schedule(manifest.schedule.noise).timesteps(part.steps)
     except InvalidInputError as error:
         raise BundleFormatError(f"manifest.json: frames_part.steps: {error}") from error
 

@@ -40,6 +40,8 @@ class NoiseSchedule:
     spacing: Literal["leading", "trailing"] = "leading"
     """"leading" counts up from the clean end (the published models); "trailing" starts at pure noise, which is fairer
     when steps are few."""
+    ends_clean: bool = False
+    """Whether the last step ends at the predicted clean latent, and not at alpha_bar[0], as the published models do."""
 
     def __post_init__(self) -> None:
         if self.train_steps < 1 or not 0 < self.beta_start <= self.beta_end < 1:
@@ -100,7 +102,7 @@ class DdimCoefficients:
 
 
 def ddim_coefficients(schedule: NoiseSchedule, steps: int) -> DdimCoefficients:
-    """Compute the coefficients of a run of `steps` steps, which ends at alpha_bar[0] as in the published models.
+    """Compute the coefficients of a run of `steps` steps, which ends as `NoiseSchedule.ends_clean` says.
 
     Raises:
         InvalidInputError: see `NoiseSchedule.timesteps`.
@@ -108,8 +110,8 @@ def ddim_coefficients(schedule: NoiseSchedule, steps: int) -> DdimCoefficients:
     timesteps = schedule.timesteps(steps)
     following = timesteps - schedule.train_steps // steps
     alpha_bar = schedule.alphas_cumprod
-    alpha = alpha_bar[timesteps]
-    alpha_next = np.where(following >= 0, alpha_bar[np.maximum(following, 0)], alpha_bar[0])
+    alpha, last = alpha_bar[timesteps], 1.0 if schedule.ends_clean else alpha_bar[0]
+    alpha_next = np.where(following >= 0, alpha_bar[np.maximum(following, 0)], last)
     keep = np.sqrt(alpha_next / alpha)
     return DdimCoefficients(timesteps, keep, np.sqrt(1.0 - alpha_next) - keep * np.sqrt(1.0 - alpha))
 
