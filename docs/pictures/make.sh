@@ -21,6 +21,8 @@ kinegraph generate "a person walks and turns right" --seconds 4 --seed 6 -o grap
 "$python" characters.py
 # docs/constraints.md
 "$python" constraints.py
+# docs/timelines.md
+"$python" timelines.py
 # docs/evaluation.md
 "$python" actions.py
 # docs/composition.md

@@ -43,6 +43,8 @@ HELD: Final = (StartPose, EndPose, Keyframe, Path, Waypoint)
 """Constraints that can be held: whole poses, and places of the root."""
 PATH_STEP: Final = 0.25
 """Seconds between the places of a path that are held; between them a body sways as it walks."""
+TURN_SECONDS: Final = 1.0
+"""Time over which the direction of a path is averaged, and in which a body turns into it at first."""
 
 Hold = Callable[[FloatArray], FloatArray]
 """Clean frames (1, C, z) -> the same with what is known in its place."""
@@ -131,12 +133,28 @@ def anchors_of(path: Path, frames: int, fps: float) -> list[Anchor]:
         return []
     every = max(round(PATH_STEP * fps), 1)
     chosen = np.unique(np.append(covered[::every], covered[-1]))
-    positions, headings = path.positions(moments, duration)[chosen], path.headings(moments, duration)
+    positions, headings = path.positions(moments, duration)[chosen], _headings_of(path, moments, duration, fps)
     faces = [None] * len(chosen) if headings is None else [float(angle) for angle in headings[chosen]]
     return [
         Anchor(int(frame), (float(x), float(z)), face)
         for frame, (x, z), face in zip(chosen, positions, faces, strict=True)
     ]
+
+
+def _headings_of(path: Path, moments: DoubleArray, duration: float, fps: float) -> DoubleArray | None:
+    """Return where a body faces on a path at some moments, radians; None on a path that goes nowhere.
+
+    A path without headings is faced along, in turns that a person can make. Free headings would drift: places are held,
+    and nothing pulls a body round to where it goes.
+    """
+    if path.heading is not None:
+        return path.headings(moments, duration)
+    along = replace(path, heading="along").headings(moments, duration)
+    if along is None:
+        return None
+    half = max(round(TURN_SECONDS * fps) // 2, 1)
+    smooth = np.convolve(np.pad(along, half, mode="edge"), np.full(2 * half + 1, 1.0 / (2 * half + 1)), "valid")
+    return np.asarray(smooth * np.minimum(moments / TURN_SECONDS, 1.0))
 
 
 @dataclass(frozen=True)

@@ -13,11 +13,11 @@ import pytest
 from numpy.typing import NDArray
 
 from kinegraph import Concept, MotionPipeline
-from kinegraph.bundle.contract import LEVELS, graph_file
+from kinegraph.bundle.contract import FRAME_FILES, FRAMES, LEVELS, graph_file
 from kinegraph.bundle.reader import DEFAULT_BUNDLE, SHARED_FILES, read_bundle, text_files_folder
 from kinegraph.edits import with_weight, without
 from kinegraph.energy import energy_maps
-from kinegraph.motion.skeleton import bone_lengths
+from kinegraph.motion.skeleton import JOINT_INDEX, bone_lengths
 
 pytestmark = pytest.mark.release
 
@@ -26,7 +26,9 @@ FEW: dict[str, Any] = {"steps": (3, 3, 4), "seconds": 2, "seed": 5}
 
 INT8_MEAN = 0.1
 """Metres, mean over joints and frames. At default steps it is 0.02; two seeds of the default bundle are 0.27 apart."""
-MOST_BYTES = 72_000_000
+MOST_BYTES = 64_000_000
+MOST_FRAMES_BYTES = 27_000_000
+"""Of skeleton space, besides."""
 
 
 def assert_nearly_same(first: NDArray[np.float32], second: NDArray[np.float32]) -> None:
@@ -38,7 +40,9 @@ def assert_nearly_same(first: NDArray[np.float32], second: NDArray[np.float32]) 
 def test_it_is_small_and_int8() -> None:
     manifest = read_bundle(None).manifest
     assert manifest.precision == "int8"
-    assert sum(entry.bytes for entry in manifest.files.values()) <= MOST_BYTES
+    frames = sum(manifest.files[name].bytes for name in FRAME_FILES)
+    assert sum(entry.bytes for entry in manifest.files.values()) - frames <= MOST_BYTES
+    assert frames <= MOST_FRAMES_BYTES
     here = {path.name for path in DEFAULT_BUNDLE.iterdir()}
     shared = {path.name for path in text_files_folder().iterdir()} & SHARED_FILES
     assert here | shared == {"manifest.json", *manifest.files}
@@ -115,6 +119,18 @@ def test_adaptive_gradient_descent_moves_the_motion_by_its_step_size(pipe: Motio
     still, small, large = (pipe.compose([WALK, WAVE], agd=(size, size), **FEW).joints for size in (1e-9, 4e-4, 0.1))
     near, far = (float(np.abs(moved - still).max()) for moved in (small, large))
     assert 0 < near < far
+
+
+def test_skeleton_space_walks_and_waves_calmly(pipe: MotionPipeline) -> None:
+    def third_derivative(joints: NDArray[np.float32]) -> float:
+        return float(np.linalg.norm(np.diff(joints, n=3, axis=0) * 20**3, axis=-1).mean())
+
+    walk, wave, run = (pipe.generate(text, seconds=4, seed=1, space=FRAMES).joints for text in (WALK, WAVE, RUN))
+    travel, waved, ran = (float(np.linalg.norm(clip[-1, 0] - clip[0, 0])) for clip in (walk, wave, run))
+    assert 1.5 < travel < 8 and waved < 0.5 and ran > 1.5 * travel
+    hand = JOINT_INDEX["right_wrist"]
+    assert np.ptp(wave[:, hand] - wave[:, 0], axis=0).max() > 0.4
+    assert third_derivative(walk) < 150 and third_derivative(wave) < 100  # captured walks have about 90
 
 
 def test_samples_end_where_their_energy_is_low(pipe: MotionPipeline, monkeypatch: pytest.MonkeyPatch) -> None:

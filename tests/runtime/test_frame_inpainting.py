@@ -190,6 +190,12 @@ def test_a_path_is_held_at_its_own_moments() -> None:
     np.testing.assert_allclose([anchor.position for anchor in anchors], [(0, z) for z in (0, 0.25, 0.5, 0.75, 1)])
     assert all(anchor.heading == 0 for anchor in anchors)
     assert anchors_of(Path([(0, 0), (0, 1)], times=[4.0, 5.0]), 60, 20) == []
+    # without headings, along a corner to the left, in the turns of a person
+    corner = anchors_of(Path([(0, 0), (0, 2), (2, 2)]), 81, 20)
+    headings = np.array([anchor.heading for anchor in corner])
+    assert headings[0] == 0 and headings[-1] == pytest.approx(np.pi / 2)
+    assert (np.diff(headings) >= -1e-9).all() and np.diff(headings).max() < 0.5
+    assert all(anchor.heading is None for anchor in anchors_of(Path([(1, 1), (1, 1)]), 60, 20))
 
 
 def test_a_timeline_walks_a_path_with_an_arm_of_its_own(toy: MotionPipeline) -> None:

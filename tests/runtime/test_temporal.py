@@ -70,6 +70,15 @@ def test_parts_of_the_body_follow_their_own_text() -> None:
     np.testing.assert_array_equal(found, expected)
 
 
+def test_a_text_for_the_whole_body_gives_way_to_one_for_a_part() -> None:
+    arm = np.float32([0, 0, 0, 0, 1, 0])
+    found, walk, wave, turn, nothing = composed(8, [Span(0, 8), Span(2, 5), Span(6, 8)], [WHOLE, arm, WHOLE], seed=3)
+    expected = walk.copy()
+    expected[2:5, 4] = wave[:, 4]
+    expected[6:] += turn - nothing[6:]  # two for the whole body are Eq. 11
+    np.testing.assert_allclose(found, expected, atol=1e-6)
+
+
 def test_what_two_texts_want_is_shared_and_nothing_else() -> None:
     legs, body = np.float32([1, 1, 0, 0, 0, 0]), np.float32([1, 1, 1, 1, 1, 0])
     spans = [Span(0, 4), Span(2, 6)]

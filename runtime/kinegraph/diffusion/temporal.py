@@ -44,7 +44,8 @@ class Span:
 def claim_features(length: int, spans: Sequence[Span], wanted: Sequence[FloatArray]) -> list[FloatArray]:
     """Decide which features of which tokens are whose.
 
-    A feature that no part of a token wants goes to the part that wants most of that token's features.
+    A text for the whole body gives way to those for parts of it, on their features and tokens. A feature that no part of
+    a token wants goes to the part that wants most of that token's features.
 
     Args:
         length: c.
@@ -54,9 +55,15 @@ def claim_features(length: int, spans: Sequence[Span], wanted: Sequence[FloatArr
     Returns:
         (n_i, z) for each part, 1 on what is its own.
     """
-    taken = np.zeros((length, len(wanted[0])), dtype=bool)
+    of_parts, taken = np.zeros((2, length, len(wanted[0])), dtype=bool)
     claims = [np.repeat(mask[None] > 0, len(span), axis=0) for span, mask in zip(spans, wanted, strict=True)]
-    for span, claim in zip(spans, claims, strict=True):
+    is_whole = [bool(claim.all()) for claim in claims]
+    for span, claim, whole in zip(spans, claims, is_whole, strict=True):
+        if not whole:
+            of_parts[span.tokens] |= claim
+    for span, claim, whole in zip(spans, claims, is_whole, strict=True):
+        if whole:
+            claim &= ~of_parts[span.tokens]
         taken[span.tokens] |= claim
     for index in sorted(range(len(spans)), key=lambda part: -float(wanted[part].sum())):
         claims[index] |= ~taken[spans[index].tokens]
