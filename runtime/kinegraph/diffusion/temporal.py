@@ -44,8 +44,8 @@ class Span:
 def claim_features(length: int, spans: Sequence[Span], wanted: Sequence[FloatArray]) -> list[FloatArray]:
     """Decide which features of which tokens are whose.
 
-    A text for the whole body gives way to those for parts of it, on their features and tokens. A feature that no part of
-    a token wants goes to the part that wants most of that token's features.
+    A text for the whole body gives way to those for parts of it, on their features and tokens. A feature that no part
+    of a token wants goes to the part that wants most of that token's features.
 
     Args:
         length: c.
