@@ -38,7 +38,7 @@ from kinegraph.feasibility import check_constraints
 from kinegraph.keeping import Kept
 from kinegraph.limits import MAX_WEIGHT
 from kinegraph.motion.energies import TOES, Energy, floor_energy, stance_energy
-from kinegraph.motion.features import joints_from_features, joints_vjp
+from kinegraph.motion.features import LAYOUT, joints_from_features, joints_vjp
 from kinegraph.motion.postprocess import enforce_bone_lengths, find_contacts, lock_feet, sliding_speed
 from kinegraph.motion.reaching import Pins, reach
 from kinegraph.motion.skeleton import bone_lengths
@@ -95,12 +95,7 @@ class Wanted:
 
     @staticmethod
     def check(
-        constraints: object,
-        weight: object,
-        fix: object,
-        strict: bool,
-        sampler: LatentSampler,
-        most: int | None = None,
+        constraints: object, weight: object, fix: object, strict: bool, sampler: LatentSampler, most: int | None = None
     ) -> Wanted:
         """Check everything that needs no clip, which has `most` frames; None is what the bundle makes at a time.
 
@@ -186,7 +181,7 @@ def require_gradients(sampler: LatentSampler) -> None:
 
 def require_layout(manifest: Manifest) -> None:
     """Refuse a bundle (`InvalidInputError`) whose features are of another layout than joints-137."""
-    if manifest.features.layout != "joints-137":
+    if manifest.features.layout != LAYOUT:
         layout = manifest.features.layout
         raise InvalidInputError(f"constraints and edits need features of the layout joints-137, not {layout}")
 
@@ -280,11 +275,7 @@ def _sample_joints(
     natural: tuple[Term, ...] = (_Standing(fps), *seam_terms(wanted.constraints, frames, fps))
     standing = replace(energy, terms=(wants, *natural))
     enough = 0.5 * CLOSE**2 * (sum(constraint.weight for constraint in wanted.constraints) + (wanted.kept is not None))
-    limits = Limits(
-        steps=DESCENT_STEPS,
-        hold=HOLD / max(wanted.weight, 1e-3),
-        away=MAX_AWAY,
-    )
+    limits = Limits(steps=DESCENT_STEPS, hold=HOLD / max(wanted.weight, 1e-3), away=MAX_AWAY)
 
     lowest: list[float] = []
 

@@ -35,7 +35,7 @@ from kinegraph.frame_denoising import FrameSampler, part_of
 from kinegraph.frame_inpainting import HeldFrames, HeldPrediction, Hold, known_of, read_held
 from kinegraph.intervals import Interval
 from kinegraph.keeping import PARTS
-from kinegraph.motion.features import CONTACTS, HEIGHT, POSITIONS, VELOCITIES, WIDTH
+from kinegraph.motion.features import CONTACTS, HEIGHT, LAYOUT, POSITIONS, VELOCITIES, WIDTH
 from kinegraph.motion.skeleton import FEET, PELVIS
 from kinegraph.options import GenerateOptions
 from kinegraph.validation import finite_number, short_repr
@@ -191,7 +191,7 @@ def features_of_parts(parts: Sequence[str], manifest: Manifest) -> FloatArray:
     per_token = part_of(manifest).per_token
     if not parts:
         return np.ones(per_token * len(manifest.features.mean), dtype=np.float32)
-    if manifest.features.layout != "joints-137":
+    if manifest.features.layout != LAYOUT:
         raise InvalidInputError(
             f"parts of the body need features of the layout joints-137, not {manifest.features.layout}"
         )

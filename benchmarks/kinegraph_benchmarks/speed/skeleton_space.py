@@ -68,6 +68,7 @@ def memory_of(name: str, bundle: str | None) -> float:
     receive, send = context.Pipe(duplex=False)
     process = context.Process(target=_send_memory, args=(name, bundle, send))
     process.start()
+    send.close()  # so that the end of a process that failed is an error here, and not a wait for ever
     megabytes = float(receive.recv())
     process.join()
     return megabytes

@@ -328,6 +328,10 @@ class NoisePredictor(SkipStack):
             x = layer(self.join(index, x, skips), layer_modulation, pair, bias, mixing, padding)
             if index < len(self.layers) // 2:
                 skips.append(x)
+        return self.read_out(x, padding)
+
+    def read_out(self, x: Tensor, padding: Tensor | None) -> Tensor:
+        """Read the prediction (r, c, z) off the last layer's tokens (r, c, d); padding as in `forward`."""
         return self.noise_out(self.norm(x))
 
 

@@ -14,13 +14,10 @@ Shapes: r latent rows, a attention rows, c groups of frames, g frames of a group
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Any
-
 import torch
 from torch import Tensor, nn
 
-from kinegraph_training.models.denoiser import Denoiser, DenoiserConfig, LatentShape, NoisePredictor, RowMixing
+from kinegraph_training.models.denoiser import Denoiser, DenoiserConfig, LatentShape, NoisePredictor
 from kinegraph_training.models.vae import ConvolutionBlock
 
 FRAME_CHANNELS = 96
@@ -73,17 +70,9 @@ class FramePredictor(NoisePredictor):
         """Embed groups of frames (r, c, z), which may be fewer than there are positions for, as (r, c, d)."""
         return self.latent_in(latent) + self.position[: latent.shape[1]]
 
-    def forward(  # type: ignore[override]
-        self,
-        latent: Tensor,
-        modulation: Tensor,
-        context: Sequence[tuple[Any, ...]],
-        bias: Tensor,
-        mixing: RowMixing | None = None,
-        padding: Tensor | None = None,
-    ) -> Tensor:
-        """Predict the clean frames (r, c, z); arguments as in `NoisePredictor.forward`."""
-        clean = super().forward(latent, modulation, context, bias, mixing, padding)
+    def read_out(self, x: Tensor, padding: Tensor | None) -> Tensor:
+        """Read the clean frames (r, c, z) off the last layer's tokens, and mend their seams."""
+        clean = super().read_out(x, padding)
         if self.seams is None:
             return clean
         return self.seams(clean, None if padding is None else (padding[:, 0, 0] == 0).to(clean.dtype))
