@@ -302,8 +302,8 @@ FAULTS: tuple[Fault, ...] = (
         6,
         "constraints of no weight pull",
         "constrained_denoising.py",
-        "        return self.weight > 0 and pulls",
-        "        return pulls",
+        "        return self.weight > 0 and (self.kept",
+        "        return (self.kept",
         "runtime/test_constrained_clips.py -k no_weight",
     ),
     Fault(
