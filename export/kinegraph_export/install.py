@@ -3,7 +3,9 @@
     python -m kinegraph_export.install --bundle BUNDLE --name studio
 
 The files that read text go to the folder that installed bundles share (`kinegraph.bundle.reader.SHARED_FILES`); they
-must be those that lie there already, so export all bundles from the same assets. A bundle of that name is replaced.
+must be those that lie there already, so export all bundles from the same assets. The weights for arguments alone may
+differ, for they come under the terms of the captions that they were trained on: a bundle then keeps its own. A bundle
+of that name is replaced.
 """
 
 from __future__ import annotations
@@ -19,6 +21,8 @@ from kinegraph.errors import InvalidInputError
 from kinegraph.files import write_atomically
 
 NAME: Final = re.compile(r"[a-z0-9][a-z0-9_-]{0,31}")
+MAY_DIFFER: Final = frozenset(("arguments.npz",))
+"""Shared files of which a bundle may have its own."""
 
 
 def install_bundle(path: Path, name: str, bundles: Path = BUNDLES) -> Path:
@@ -37,23 +41,27 @@ def install_bundle(path: Path, name: str, bundles: Path = BUNDLES) -> Path:
     if NAME.fullmatch(name) is None or name == SHARED:
         raise InvalidInputError(f"a bundle's name has 1 to 32 of a-z, 0-9, - and _ and is not {SHARED!r}; not {name!r}")
     bundle = read_bundle(path)
-    _share_files(bundle, bundles / SHARED)
+    shared = _share_files(bundle, bundles / SHARED)
     folder, staged = bundles / name, bundles / f".{name}"
     shutil.rmtree(staged, ignore_errors=True)
     staged.mkdir(parents=True)
     for file in (MANIFEST, *bundle.manifest.files):
-        if file not in SHARED_FILES:
+        if file not in shared:
             shutil.copyfile(bundle.path / file, staged / file)
     shutil.rmtree(folder, ignore_errors=True)
     staged.rename(folder)
     return folder
 
 
-def _share_files(bundle: Bundle, shared: Path) -> None:
-    """Write the files that read text into the shared folder; refuse before anything is written."""
-    files = {name: bundle.read_graph(name) for name in SHARED_FILES & bundle.manifest.files.keys()}
-    for name, data in files.items():
-        if (shared / name).is_file() and (shared / name).read_bytes() != data:
+def _share_files(bundle: Bundle, shared: Path) -> frozenset[str]:
+    """Write the files that read text into the shared folder, and return their names; refuse before any is written."""
+    listed = SHARED_FILES & bundle.manifest.files.keys()
+    files = {name: bundle.read_graph(name) for name in listed}
+    for name in listed:
+        if (shared / name).is_file() and (shared / name).read_bytes() != files[name]:
+            if name in MAY_DIFFER:
+                del files[name]
+                continue
             raise InvalidInputError(
                 f"{name} differs from the one in {shared}, which other bundles use; export this bundle from the same "
                 "assets, or install all bundles anew into an empty folder"
@@ -61,6 +69,7 @@ def _share_files(bundle: Bundle, shared: Path) -> None:
     shared.mkdir(parents=True, exist_ok=True)
     for name, data in files.items():
         write_atomically(shared / name, data, force=True)
+    return frozenset(files)
 
 
 def main(argv: list[str] | None = None) -> None:
@@ -71,7 +80,8 @@ def main(argv: list[str] | None = None) -> None:
     options = parser.parse_args(argv)
     folder = install_bundle(options.bundle, options.name)
     read_bundle(folder)
-    print(f"{folder}; files that read text in {folder.parent / SHARED}")
+    own = " and ".join(sorted(SHARED_FILES & {path.name for path in folder.iterdir()})) or "none"
+    print(f"{folder}; files that read text in {folder.parent / SHARED}, its own of them: {own}")
 
 
 if __name__ == "__main__":

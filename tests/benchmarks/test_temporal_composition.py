@@ -53,8 +53,9 @@ def test_every_method_makes_motions_as_long_as_the_captured_ones(toy: MotionPipe
     pytest.importorskip("spacy")
     evaluator: Any = Evaluator()
     result = temporal.measure(toy, CLIPS, ITEMS, 1, evaluator)
-    assert list(result["rows"]) == ["captured, joined", "one sentence", "blend", "continue", "energy"]
-    for method in list(result["rows"])[1:]:
+    alone = ["each alone, latent", "each alone, skeleton"]
+    assert list(result["rows"]) == ["captured, joined", *alone, "one sentence", "blend", "continue", "energy"]
+    for method in list(result["rows"])[3:]:
         frames = len(temporal.make_pair(toy, ITEMS[0], method, 3))
         assert frames == 72 or (method == "blend" and 62 <= frames <= 72), method
         assert result["rows"][method]["transition_distance"]["mean"] > 0
@@ -62,5 +63,21 @@ def test_every_method_makes_motions_as_long_as_the_captured_ones(toy: MotionPipe
     assert "| crop r precision 1 |" in table and "| energy | " in table and "2 captions of two actions" in table
     limits = toy.manifest.seconds_limits
     manifest = SimpleNamespace(name="bare", version="1", frames_part=None, seconds_limits=limits)
-    bare: Any = SimpleNamespace(manifest=manifest, sequence=toy.sequence, compose=toy.compose)
-    assert "energy" not in temporal.measure(bare, CLIPS, ITEMS, 1, evaluator)["rows"]
+    calls = {name: getattr(toy, name) for name in ("sequence", "compose", "generate")}
+    bare: Any = SimpleNamespace(manifest=manifest, **calls)
+    assert not {"energy", alone[1]} & set(temporal.measure(bare, CLIPS, ITEMS, 1, evaluator)["rows"])
+
+
+def test_parts_alone_hold_when_each_does_what_its_own_text_says() -> None:
+    lengths: list[float] = []
+    bows = iter([1.0, 1.0, 1.0, 0.0])
+
+    def generate(text: str, *, seconds: float, **how: Any) -> SimpleNamespace:
+        lengths.append(seconds)
+        count = round(20 * seconds)
+        return SimpleNamespace(joints=walk(count) if "walks" in text else stand(count, bow=next(bows)))
+
+    pipe: Any = SimpleNamespace(generate=generate, manifest=SimpleNamespace(seconds_limits=(0.8, 9.8)))
+    for share in (1.0, 0.5):
+        assert temporal.measure_alone(pipe, ITEMS, "latent", 1)["both_hold"]["mean"] == share
+    assert lengths[:2] == [ITEMS[0].cut / 20, (72 - ITEMS[0].cut) / 20]

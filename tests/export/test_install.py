@@ -38,6 +38,17 @@ def test_another_parser_is_not_put_in_the_place_of_a_shared_one(tmp_path: Path) 
     assert sorted(path.name for path in bundles.iterdir()) == ["first", "shared"]
 
 
+def test_a_bundle_keeps_its_own_weights_for_arguments(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    bundles = tmp_path / "bundles"
+    monkeypatch.setattr(reader, "BUNDLES", bundles)
+    for name in ("first", "second", "third"):
+        weights = b"others" if name == "second" else b"weights"
+        install_bundle(write_bundle(tmp_path / name, {**bundle_files(), "arguments.npz": weights}), name, bundles)
+    assert [path.parent.name for path in sorted(bundles.glob("*/arguments.npz"))] == ["second", "shared"]
+    assert read_bundle("second").files["arguments.npz"] == b"others"
+    assert read_bundle("third").files["arguments.npz"] == read_bundle("first").files["arguments.npz"] == b"weights"
+
+
 @pytest.mark.parametrize("name", ["shared", "", "../x", "Studio", "a b", ".hidden"])
 def test_some_names_are_none(tmp_path: Path, name: str) -> None:
     with pytest.raises(InvalidInputError, match="a bundle's name"):

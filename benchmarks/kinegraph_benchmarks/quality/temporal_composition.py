@@ -10,8 +10,9 @@ EnergyMoGen's Table 5 in kind: captured clips of two actions, joined as in train
 is asked for and how long each part is. A row is a way to make both: "blend", "continue" and "energy" of
 `MotionPipeline.sequence`, and one sentence of both. Each part's own motion is judged beside its caption (R-precision,
 in groups), the whole beside the captured ones (FID), and the frames around the change by their transition distance.
-"within captured" counts the changes whose distance is within the 95 % of captured motion. A bundle without skeleton
-space has no row "energy". Writes JSON, and a Markdown table beside it.
+"within captured" counts the changes whose distance is within the 95 % of captured motion. Rows "each alone" hold the
+parts by themselves, which tells what joining them costs in each space. A bundle without skeleton space has no row
+"energy". Writes JSON, and a Markdown table beside it.
 """
 
 from __future__ import annotations
@@ -25,7 +26,8 @@ import numpy as np
 
 from kinegraph import MotionPipeline
 from kinegraph.arrays import FloatArray
-from kinegraph.options import SEQUENCE_METHODS
+from kinegraph.bundle.contract import FRAMES
+from kinegraph.options import LATENT, SEQUENCE_METHODS
 from kinegraph_benchmarks.common.arguments import add_arguments, benchmark_parser
 from kinegraph_benchmarks.common.evaluator import FOLDER, Evaluator
 from kinegraph_benchmarks.common.predicates import FPS
@@ -33,7 +35,8 @@ from kinegraph_benchmarks.common.report_io import write_report
 from kinegraph_benchmarks.common.sample_cache import long_enough
 from kinegraph_benchmarks.common.scores import average_repeats
 from kinegraph_benchmarks.common.two_action_scores import score_two_actions, transition_distance
-from kinegraph_benchmarks.common.two_action_set import TwoActionClip, build_two_action_set
+from kinegraph_benchmarks.common.two_action_set import ALONE, TwoActionClip, build_two_action_set
+from kinegraph_training import metrics
 from kinegraph_training.data.clips import MotionClip, read_split
 from kinegraph_training.synthetic.compositions import BLEND, HeldOut
 
@@ -55,13 +58,18 @@ def make_pair(pipe: MotionPipeline, item: TwoActionClip, method: str, seed: int)
         method: of `MotionPipeline.sequence`, or `ONE_SENTENCE`.
         seed: of the first part.
     """
-    shortest, longest = pipe.manifest.seconds_limits
     frames = len(item.joints)
     if method == ONE_SENTENCE:
-        seconds = min(max(frames / FPS, shortest), longest)
+        (seconds,) = possible_seconds(pipe, [frames])
         return pipe.compose([item.caption], seconds=seconds, seed=seed).joints[:frames]
-    lengths = [min(max(count / FPS, shortest), longest) for count in (item.cut, frames - item.cut)]
+    lengths = possible_seconds(pipe, [item.cut, frames - item.cut])
     return pipe.sequence(item.texts, seconds=lengths, seed=seed, method=method).joints[:frames]
+
+
+def possible_seconds(pipe: MotionPipeline, frames: Sequence[int]) -> list[float]:
+    """Convert numbers of frames to seconds, as near as the bundle can make them."""
+    shortest, longest = pipe.manifest.seconds_limits
+    return [min(max(count / FPS, shortest), longest) for count in frames]
 
 
 def captured_limit(clips: Sequence[MotionClip]) -> float:
@@ -84,6 +92,29 @@ def measure_method(
         motions = [make_pair(pipe, item, method, 1000 * take + 2 * row) for row, item in enumerate(items)]
         scores = score_two_actions(items, motions, evaluator, rng)
         rows.append(scores | {"within_captured": share_within(items, motions, limit)})
+    return average_repeats(rows)
+
+
+def measure_alone(pipe: MotionPipeline, items: Sequence[TwoActionClip], space: str, seeds: int) -> dict[str, Any]:
+    """Make both parts of all items by themselves in a space, and score them."""
+    rows = []
+    for take in range(seeds):
+        holds, motions = [], []
+        for row, item in enumerate(items):
+            lengths = possible_seconds(pipe, [item.cut, len(item.joints) - item.cut])
+            parts = [
+                pipe.generate(text, seconds=seconds, seed=1000 * take + 2 * row + number, space=space).joints
+                for number, (text, seconds) in enumerate(zip(item.texts, lengths, strict=True))
+            ]
+            holds.append(all(ALONE[action](part) for action, part in zip(item.actions, parts, strict=True)))
+            motions += parts
+        rows.append(
+            {
+                "both_hold": float(np.mean(holds)),
+                "jerk": float(np.mean([metrics.jerk(joints) for joints in motions])),
+                "foot_skate": float(np.nanmean([metrics.foot_skate(joints) for joints in motions])),
+            }
+        )
     return average_repeats(rows)
 
 
@@ -117,6 +148,9 @@ def measure(
     own = score_two_actions(items, captured, evaluator, rng) | {"within_captured": share_within(items, captured, limit)}
     rows: dict[str, Any] = {"captured, joined": average_repeats([own])}
     has_frames = pipe.manifest.frames_part is not None
+    rows["each alone, latent"] = measure_alone(pipe, items, LATENT, seeds)
+    if has_frames:
+        rows["each alone, skeleton"] = measure_alone(pipe, items, FRAMES, seeds)
     for method in (ONE_SENTENCE, *(name for name in SEQUENCE_METHODS if name != "energy" or has_frames)):
         rows[method] = measure_method(pipe, items, method, seeds, evaluator, limit)
         print(f"{method}: FID {rows[method]['fid']['mean']:.3f}", file=sys.stderr)
