@@ -12,11 +12,11 @@ from __future__ import annotations
 import argparse
 import dataclasses
 from pathlib import Path
-from typing import get_args
+from typing import Any, get_args
 
 import numpy as np
 import torch
-from torch import nn
+from torch import Tensor, nn
 
 from kinegraph.arrays import FloatArray
 from kinegraph.bundle.contract import (
@@ -31,6 +31,7 @@ from kinegraph.bundle.contract import (
 from kinegraph.bundle.frames_part import FramesPart, frame_contracts
 from kinegraph.bundle.manifest import Manifest
 from kinegraph.bundle.reader import read_bundle
+from kinegraph.conditioning import GraphArrays
 from kinegraph.errors import InvalidInputError
 from kinegraph.motion.features import LAYOUT
 from kinegraph.motion.fusion import fused_joints
@@ -55,8 +56,9 @@ from kinegraph_training.checkpoints import read_checkpoint
 from kinegraph_training.config import FrameConfig
 from kinegraph_training.layouts import layout_of
 from kinegraph_training.models.agd import AgdNoisePredictor
-from kinegraph_training.models.denoiser import DenoiserConfig, LatentShape
-from kinegraph_training.models.frame_denoiser import FrameDenoiser
+from kinegraph_training.models.concat_denoiser import ConcatDenoiser
+from kinegraph_training.models.denoiser import Denoiser, DenoiserConfig, LatentShape
+from kinegraph_training.models.hierarchy import Hierarchy
 
 STEPS, GUIDANCE = 20, 2.5
 """Of a call that leaves them out, unless the command says otherwise."""
@@ -66,10 +68,20 @@ STEPS, GUIDANCE = 20, 2.5
 class TrainedFrames:
     """A skeleton-space denoiser in evaluation mode, with weights rounded to what a bundle stores."""
 
-    denoiser: FrameDenoiser
-    config: DenoiserConfig
+    hierarchy: Hierarchy
+    """With the graph encoder that it was trained over."""
     latent: LatentShape
     frames: FrameConfig
+
+    @property
+    def denoiser(self) -> Any:
+        """Return the denoiser, a `FrameDenoiser`; a `ConcatDenoiser` in comparisons."""
+        return self.hierarchy.levels[FRAMES]
+
+    @property
+    def config(self) -> DenoiserConfig:
+        """Return the configuration of the network."""
+        return self.hierarchy.config
 
     def part(self, steps: int, guidance: float) -> FramesPart:
         """Describe it as the manifest does."""
@@ -111,20 +123,24 @@ def read_frames(checkpoint: Path) -> TrainedFrames:
     state = read_checkpoint(checkpoint)
     settings = state["hyper_parameters"]
     config, latent = DenoiserConfig(**settings["config"]), LatentShape(**settings["latents"][FRAMES])
-    denoiser = FrameDenoiser(config, latent)
-    prefix = f"hierarchy.levels.{FRAMES}."
+    hierarchy, prefix = Hierarchy(config, {FRAMES: latent}), "hierarchy."
     weights = {name.removeprefix(prefix): w for name, w in state["state_dict"].items() if name.startswith(prefix)}
-    denoiser.load_state_dict(weights)
-    round_weights(denoiser.eval())
-    return TrainedFrames(denoiser, config, latent, FrameConfig(**settings["frames"]))
+    hierarchy.load_state_dict(weights)
+    round_weights(hierarchy.eval())
+    return TrainedFrames(hierarchy, latent, FrameConfig(**settings["frames"]))
 
 
 def check_fits(trained: TrainedFrames, manifest: Manifest) -> None:
     """Refuse a network that was not trained over a bundle of this kind.
 
     Raises:
-        InvalidInputError: another format, family, text encoder or feature layout.
+        InvalidInputError: a network for comparison only; another format, family, text encoder or feature layout.
     """
+    if trained.config.kind != "frames" or not trained.frames.from_latent:
+        raise InvalidInputError(
+            f"a bundle takes a network of kind 'frames' that was trained over its graph encoder, not kind "
+            f"{trained.config.kind!r}, from_latent {trained.frames.from_latent}"
+        )
     if manifest.format_version != FORMAT_VERSION or manifest.family != "kinegraph":
         raise InvalidInputError(
             f"only bundles of kinegraph's own networks of format {FORMAT_VERSION} have skeleton space, not format "
@@ -148,26 +164,52 @@ def torch_frames(trained: TrainedFrames, pipe: MotionPipeline, prompt: str, seed
     assert part is not None
     (graph,) = pipe.encoder.encode_text([pipe.parse(prompt)], [seed % 4 == 3])
     nodes = torch.from_numpy(pipe.encoder.attend([graph]).nodes[0])
-    conditions = level_conditions(trained.denoiser, graph, nodes, part.level.nodes, None, empty=True)
+    mean, std = (np.array(values, dtype=np.float32) for values in (manifest.features.mean, manifest.features.std))
+    joints = sample_frames(trained.denoiser, graph, nodes, part, seed, frames, mean, std)
+    return enforce_bone_lengths(joints, pipe.decoder.bones)
+
+
+def sample_frames(
+    denoiser: Denoiser | ConcatDenoiser,
+    graph: GraphArrays,
+    nodes: Tensor,
+    part: FramesPart,
+    seed: int,
+    frames: int,
+    mean: FloatArray,
+    std: FloatArray,
+) -> FloatArray:
+    """Sample the joints (frames, 22, 3) of an encoded graph in torch by guided DDIM on clean predictions.
+
+    Args:
+        denoiser: of skeleton space.
+        graph: kinds, order and weights of the nodes.
+        nodes: (n, d) encoded nodes.
+        part: sizes, steps, guidance and schedule.
+        seed: of the noise.
+        frames: of the clip.
+        mean: (f,) of the features.
+        std: (f,) of the same.
+    """
+    conditions = level_conditions(denoiser, graph, nodes, part.level.nodes, None, empty=True)
     tokens = part.token_count(frames)
     rng = np.random.Generator(np.random.PCG64(seed))
     latent = torch.from_numpy(rng.standard_normal((tokens, part.level.latent_width), dtype=np.float32))[None]
     alphas, stride = alpha_bar(beta_end=part.beta_end), 1000 // part.steps
     for index in range(part.steps):
         time = round(1000 - index * 1000 / part.steps) - 1
-        clock = trained.denoiser.clock(torch.tensor([time]), torch.tensor([tokens * part.per_token]))
+        clock = denoiser.clock(torch.tensor([time]), torch.tensor([tokens * part.per_token]))
         text, null = (
-            trained.denoiser.step(latent, clock, known.context, known.bias[:, None, None, :])
+            denoiser.step(latent, clock, known.context, known.bias[:, None, None, :])
             for known in (conditions["text"], conditions["null"])
         )
         clean = null + part.guidance * (text - null)
         now, after = alphas[time], alphas[time - stride] if time >= stride else torch.ones(())
         noise = (latent - now.sqrt() * clean) / (1 - now).sqrt()
         latent = (after.sqrt() * clean + (1 - after).sqrt() * noise).float()
-    mean, std = (np.array(values, dtype=np.float32) for values in (manifest.features.mean, manifest.features.std))
     features = latent.reshape(-1, len(mean)).numpy()[:frames] / part.scale * std + mean
-    joints = fused_joints(features) if manifest.features.layout == LAYOUT else layout_of(len(mean)).to_joints(features)
-    return enforce_bone_lengths(joints, pipe.decoder.bones)
+    layout = layout_of(len(mean))
+    return fused_joints(features) if layout.name == LAYOUT else layout.to_joints(features)
 
 
 def pipeline_difference(folder: Path, trained: TrainedFrames) -> float:

@@ -129,6 +129,13 @@ def sample_level(
     return latent
 
 
+def as_batch(graph: GraphArrays) -> GraphBatch:
+    """Make a batch of one graph."""
+    inputs = {name: getattr(graph, name) for name in ("nodes", "relation", "edge_weight", "kind", "order")}
+    inputs["node_mask"] = np.ones(len(graph.kind), dtype=np.float32)
+    return GraphBatch(**{name: torch.from_numpy(value)[None] for name, value in inputs.items()})
+
+
 @torch.no_grad()
 def torch_joints(
     trained: TrainedModels, graph: GraphArrays, request: SamplingRequest, mean: FloatArray, std: FloatArray
@@ -142,9 +149,7 @@ def torch_joints(
         mean: (features,) of the specific level's features.
         std: (features,) of the same.
     """
-    inputs = {name: getattr(graph, name) for name in ("nodes", "relation", "edge_weight", "kind", "order")}
-    inputs["node_mask"] = np.ones(len(graph.kind), dtype=np.float32)
-    nodes = trained.hierarchy.encode(GraphBatch(**{k: torch.from_numpy(v)[None] for k, v in inputs.items()}))[0]
+    nodes = trained.hierarchy.encode(as_batch(graph))[0]
     latent: Tensor | None = None
     for level in trained.hierarchy.latents:
         latent = sample_level(trained, level, graph, nodes, latent, request)

@@ -1,7 +1,8 @@
 """Trace each module once in a whole run of the tests: torch's exporter takes seconds a graph, and many tests export.
 
 Models are kept in a folder that all workers of pytest-xdist share, by what a module is: its classes and settings, its
-weights, and the inputs that it is traced with.
+weights, and the inputs that it is traced with. The exporter's table of operators, which it makes anew for every graph,
+is made once in each process.
 """
 
 from __future__ import annotations
@@ -11,6 +12,7 @@ import os
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import is_dataclass
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +20,7 @@ import onnx
 import pytest
 import torch
 from torch import nn
+from torch.onnx._internal.exporter._registration import ONNXRegistry
 
 from kinegraph_export import clip_text_encoder, export_evaluator, graphs
 from kinegraph_export.official import graphs as official_graphs
@@ -95,6 +98,7 @@ def traced_once(folder: Path) -> Iterator[Traces]:
     """Install the cache in the modules that call `to_onnx`, until the end of the block."""
     traces = Traces(graphs.to_onnx, folder)
     with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(ONNXRegistry, "from_torchlib", staticmethod(cache(ONNXRegistry.from_torchlib)))
         for user in (graphs, official_graphs, clip_text_encoder, export_evaluator):
             patch.setattr(user, "to_onnx", traces)
         yield traces

@@ -13,6 +13,7 @@ from kinegraph_export.graphs import TrainedModels, check_exportable, level_specs
 from kinegraph_training.data.caption_cache import tokens_as_graph
 from kinegraph_training.models.concat_denoiser import ConcatDenoiser
 from kinegraph_training.models.denoiser import DenoiserConfig, LatentShape
+from kinegraph_training.models.frame_denoiser import hide_padding
 from kinegraph_training.models.hierarchy import GraphBatch, Hierarchy
 from kinegraph_training.models.vae import MotionVae, VaeConfig
 
@@ -74,6 +75,22 @@ def test_concat_sees_its_conditions_and_nothing_that_is_masked() -> None:
     assert not torch.allclose(noise(nodes, coarse + 1), plain, atol=1e-4)
     null = torch.full_like(kind, NULL_KIND)
     assert torch.equal(noise(nodes, coarse, null), noise(nodes + 1, coarse, null))
+
+
+@torch.no_grad()
+def test_concat_takes_any_number_of_frames_and_never_sees_padding() -> None:
+    torch.manual_seed(3)
+    denoiser = ConcatDenoiser(config(kind="concat"), LatentShape(9, 6), None).eval()
+    kind, bias = torch.randint(0, 3, (2, 5)), torch.zeros(2, 5)
+    context = denoiser.context(torch.randn(2, 5, 12), kind, torch.zeros_like(kind), bias)
+    given = (denoiser.clock(torch.tensor([3, 3]), torch.tensor([40, 40])), context, bias[:, None, None])
+    noisy = torch.randn(2, 7, 6)
+    alone = denoiser.step(noisy[:, :5], *given)
+    mask = torch.tensor([1.0] * 5 + [0.0] * 2).expand(2, -1)
+    padded = denoiser.step(noisy, *given, padding=hide_padding(mask, PADDING_BIAS))
+    assert alone.shape == (2, 5, 6)
+    torch.testing.assert_close(padded[:, :5], alone, atol=1e-5, rtol=0)
+    assert not torch.allclose(denoiser.step(noisy, *given)[:, :5], alone, atol=1e-3), "padding would be seen"
 
 
 def test_one_stage_has_one_denoiser_without_a_coarser_latent() -> None:

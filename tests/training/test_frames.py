@@ -16,6 +16,7 @@ pytest.importorskip("lightning")
 pytest.importorskip("spacy")
 
 from kinegraph.bundle.contract import FRAMES, NODE_KINDS, PADDING_BIAS
+from kinegraph.bundle.reader import read_bundle
 from kinegraph.errors import InvalidInputError
 from kinegraph_training import train_frames
 from kinegraph_training.checkpoints import read_checkpoint
@@ -184,6 +185,32 @@ def test_a_run_without_latent_denoisers_is_refused(trained: Path, tmp_path: Path
     (tmp_path / "run").mkdir()
     with pytest.raises(InvalidInputError, match="latent denoisers"):
         run_stage(train_frames, tmp_path, "--assets", str(ASSETS))
+
+
+def test_mdms_network_trains_its_own_graph_encoder_and_is_sampled_in_torch(trained: Path, tmp_path: Path) -> None:
+    pytest.importorskip("onnxscript")
+    from kinegraph_benchmarks.common.torch_model import TorchFrames, load_run
+    from kinegraph_export.add_frames import check_fits, read_frames
+
+    (tmp_path / "data").symlink_to(trained / "data")
+    (tmp_path / "run").mkdir()
+    for name in ("vae_specific", "tables.npz"):
+        (tmp_path / "run" / name).symlink_to(trained / "run" / name)
+    preset = tmp_path / "mdm.toml"
+    own = 'kind = "concat"\nframes_per_token = 1\nfrom_latent = false\n'
+    preset.write_text(f'base = "tiny"\n[frames]\n{own}[frames_training]\nsteps = 4\nema = 0.5\n')
+    run_stage(train_frames, tmp_path, "--assets", str(ASSETS), preset=str(preset))
+    found = read_frames(tmp_path / "run" / FRAMES / "last.ckpt")
+    assert found.denoiser.step.position.shape[0] == found.latent.tokens == 196
+    state = read_checkpoint(tmp_path / "run" / FRAMES / "last.ckpt")
+    learnt = set(state["optimizer_states"][0]["state"])
+    assert len(learnt) == len(list(found.hierarchy.parameters())), "the graph encoder is not trained"
+    model = load_run(tmp_path / "run")
+    assert isinstance(model, TorchFrames)
+    clips = [model.generate("a person walks", seconds=seconds, seed=1).joints for seconds in (1.0, 2.05)]
+    assert [len(joints) for joints in clips] == [20, 41] and all(np.isfinite(joints).all() for joints in clips)
+    with pytest.raises(InvalidInputError, match="trained over its graph encoder"):
+        check_fits(found, read_bundle(None).manifest)
 
 
 def test_batches_hold_whole_groups_and_null_captions_keep_their_frames(run: Path) -> None:

@@ -97,6 +97,11 @@ class FrameConfig:
     """Last beta of the noise schedule: at the last timestep alpha_bar is 1e-4, and in latent space 5e-3. With that of
     latent space, a running clip's speed was seen through the noise of the last timestep, where a run starts without it:
     clips ran at 1.2 m/s, and at 3 in latent space (see `kinegraph.bundle.frames_part`)."""
+    kind: str = "frames"
+    """As `DenoiserConfig.kind`: "concat", with one frame a token, is MDM's network (for comparison)."""
+    from_latent: bool = True
+    """Whether the network keeps the graph encoder of the run's latent denoisers and starts from the weights of the
+    finest one; else all of it is trained from random weights (for comparison)."""
     width: int | None = None
     """This and all that follow: None is that of the latent denoisers."""
     layers: int | None = None
@@ -108,7 +113,7 @@ class FrameConfig:
         sizes = {name: getattr(self, name) for name in ("width", "layers", "heads", "feed_forward")}
         given = {name: size for name, size in sizes.items() if size is not None}
         own = {"frames_per_token": self.frames_per_token, **given}
-        return replace(base, kind="frames", nodes_seen="all", levels=LEVELS[-1:], **own)
+        return replace(base, kind=self.kind, nodes_seen="all", levels=LEVELS[-1:], **own)
 
 
 @dataclass(frozen=True)

@@ -56,7 +56,10 @@ def squared_error_of_steps(predicted: Tensor, clean: Tensor, token_mask: Tensor,
 
 
 class FrameModule(DenoiserModule):
-    """Skeleton-space denoiser with its loss, over the graph encoder of a bundle, which stays as it is."""
+    """Skeleton-space denoiser with its loss, over the graph encoder of a bundle, which stays as it is.
+
+    For comparison (`FrameConfig.from_latent`) both are trained together.
+    """
 
     def __init__(
         self, config: DenoiserConfig, training: OptimiserConfig, latents: dict[str, LatentShape], frames: FrameConfig
@@ -66,7 +69,7 @@ class FrameModule(DenoiserModule):
         self.features = latents[FRAMES].width // frames.frames_per_token
         schedule = NoiseSchedule(train_steps=config.train_steps, beta_end=frames.beta_end)
         self.alphas = torch.tensor(schedule.alphas_cumprod, dtype=torch.float32)
-        self.hierarchy.graph_encoder.requires_grad_(False)
+        self.hierarchy.graph_encoder.requires_grad_(not frames.from_latent)
 
     def predict_clean(self, nodes: Tensor, batch: FrameBatch, timestep: Tensor, noise: Tensor) -> Tensor:
         """Mix noise into the frames, and predict them without; arguments as in `DenoiserModule.predict_noise`."""

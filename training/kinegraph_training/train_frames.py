@@ -87,7 +87,7 @@ def make_loaders(clips: Splits, captions: EncodedCaptions, preset: Preset) -> tu
 
 
 def make_module(preset: Preset, run: Path, start_from: Path | None) -> FrameModule:
-    """Make the network: with borrowed weights, or with those of another skeleton-space denoiser.
+    """Make the network: with borrowed weights, with those of another skeleton-space denoiser, or with random ones.
 
     Raises:
         InvalidInputError: the run has no latent denoisers.
@@ -96,10 +96,11 @@ def make_module(preset: Preset, run: Path, start_from: Path | None) -> FrameModu
     group = frames.frames_per_token
     shape = LatentShape(-(-config.max_frames // group), group * preset.vae[LEVELS[-1]].features)
     module = FrameModule(config, preset.frames_training, {FRAMES: shape}, frames)
-    latent = run / "denoisers" / "last.ckpt"
-    if not latent.is_file():
-        raise InvalidInputError(f"{latent} is missing; train the latent denoisers, or recover a run from a bundle")
-    module.borrow_weights(read_checkpoint(latent)["state_dict"])
+    if frames.from_latent:
+        latent = run / "denoisers" / "last.ckpt"
+        if not latent.is_file():
+            raise InvalidInputError(f"{latent} is missing; train the latent denoisers, or recover a run from a bundle")
+        module.borrow_weights(read_checkpoint(latent)["state_dict"])
     if start_from:
         load_start_weights(module.hierarchy, start_from, "hierarchy.")
     return module

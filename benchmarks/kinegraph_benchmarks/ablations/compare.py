@@ -3,14 +3,16 @@
     python -m kinegraph_benchmarks.ablations.compare --data DATA/bandai --held-out DATA/held_out_pairs.json \
         --autoencoders runs/edge --work comparisons --steps 3000 --seeds 1 2 3 ours one_stage
 
-Variants are the presets in `comparisons/`. All share the autoencoders of one run. Trained weights and evaluations are
-kept in --work, so a stopped comparison continues where it was.
+Variants are the presets in `comparisons/`, over the data and the schedule of --preset. All share the autoencoders of
+one run, of which variants of skeleton space (`skeleton`, `mdm`) take the normalisation alone, and all start from random
+weights. Trained weights and evaluations are kept in --work, so a stopped comparison continues where it was.
 """
 
 from __future__ import annotations
 
 import argparse
 import sys
+import tomllib
 from pathlib import Path
 from typing import Any
 
@@ -18,17 +20,41 @@ from kinegraph.bundle.contract import LEVELS
 from kinegraph_benchmarks.ablations.training_runs import evaluate_run, link_shared, markdown_table, train
 from kinegraph_benchmarks.common.arguments import add_arguments, benchmark_parser
 from kinegraph_benchmarks.common.report_io import write_report
+from kinegraph_training.config import read_preset
 
 PRESETS = Path(__file__).resolve().parent / "comparisons"
+CACHES = ("captions.npz", "captions.kind", "captions.nodes", "captions.order", "captions.owner", "captions.relation",
+          "captions_masked.npz", "latents.pt", "states.npz", "tables.npz")  # fmt: skip
+"""Files of a run that hold its data and not its weights."""
+
+
+def is_skeleton_space(variant: str) -> bool:
+    """Tell whether a variant is a network of skeleton space."""
+    return "frames" in tomllib.loads((PRESETS / f"{variant}.toml").read_text(encoding="utf-8"))
+
+
+def preset_text(variant: str, base: str, seed: int, steps: int) -> str:
+    """Write the preset of a run: what a variant changes of a base, with a seed and a budget.
+
+    Args:
+        variant: name in `PRESETS`.
+        base: name of a preset, or an absolute path.
+        seed: of training.
+        steps: of training, of as many clips in either space.
+    """
+    changes = (PRESETS / f"{variant}.toml").read_text(encoding="utf-8").splitlines()
+    lines = [f'base = "{base}"', f"seed = {seed}", *(line for line in changes if not line.startswith("base = "))]
+    lines += ["[denoiser_training]", f"steps = {steps}"]
+    lines += ["[frames_training]", f"batch = {read_preset(base).denoiser_training.batch}"]
+    return "\n".join(lines) + "\n"
 
 
 def prepare_run(variant: str, seed: int, options: argparse.Namespace) -> Path:
     """Make the folder of one run: links to the shared autoencoders and caches, and its preset."""
     run: Path = options.work / f"{variant}_seed{seed}"
     vaes = [f"vae_{level}" for level in LEVELS]
-    link_shared(run, options.autoencoders, [*vaes, "captions.npz", "captions_masked.npz", "latents.pt", "states.npz"])
-    base = PRESETS / f"{variant}.toml"
-    text = f'base = "{base}"\nseed = {seed}\n\n[denoiser_training]\nsteps = {options.steps}\n'
+    link_shared(run, options.autoencoders, [*vaes, *CACHES])
+    text = preset_text(variant, options.preset, seed, options.steps)
     (run / "preset.toml").write_text(text, encoding="utf-8")
     return run
 
@@ -39,6 +65,7 @@ def main() -> int:
     parser.add_argument("variants", nargs="+", choices=sorted(path.stem for path in PRESETS.glob("*.toml")))
     add_arguments(parser, "data", "held_out", "autoencoders", "out", optional=("out",), repeats=3)
     parser.add_argument("--work", type=Path, required=True, help="folder of the runs")
+    parser.add_argument("--preset", default="edge", help="name or absolute path of the base of all variants (edge)")
     parser.add_argument("--steps", type=int, default=3000, help="training steps of each variant (3000)")
     parser.add_argument("--seeds", type=int, nargs="+", default=[1], help="of the training")
     options = parser.parse_args()
@@ -46,7 +73,7 @@ def main() -> int:
     for seed in options.seeds:
         for variant in options.variants:
             run = prepare_run(variant, seed, options)
-            train(run, options)
+            train(run, options, stage="train_frames" if is_skeleton_space(variant) else "train_denoisers")
             results.setdefault(variant, []).append(evaluate_run(run, options))
     table = markdown_table(results)
     (options.work / "comparison.md").write_text(table, encoding="utf-8")

@@ -32,12 +32,21 @@ def link_shared(run: Path, source: Path, names: Sequence[str]) -> None:
             link.symlink_to(original)
 
 
-def train(run: Path, options: argparse.Namespace, extra_arguments: Sequence[str] = ()) -> None:
-    """Train the denoisers of a run with its preset.toml, continue, or do nothing if all steps are done."""
+def train(
+    run: Path, options: argparse.Namespace, extra_arguments: Sequence[str] = (), stage: str = "train_denoisers"
+) -> None:
+    """Train the denoisers of a run with its preset.toml, continue, or do nothing if all steps are done.
+
+    Args:
+        run: folder of the run.
+        options: `data`, `held_out` and `steps`.
+        extra_arguments: of the command.
+        stage: module of `kinegraph_training` whose command trains.
+    """
     finished = run / "trained"
     if finished.is_file() and finished.read_text() == str(options.steps):
         return
-    command = [sys.executable, "-m", "kinegraph_training.train_denoisers", "--data", str(options.data)]
+    command = [sys.executable, "-m", f"kinegraph_training.{stage}", "--data", str(options.data)]
     command += ["--held-out", str(options.held_out), "--run", str(run), "--preset", str(run / "preset.toml")]
     command += ["--assets", str(text_files_folder()), *extra_arguments]
     subprocess.run(command, check=True)

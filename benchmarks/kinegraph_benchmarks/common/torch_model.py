@@ -1,6 +1,7 @@
 """Sample a training run in torch, so that models for comparison only are measured by the same `quality.evaluate`.
 
-Such models are GraphMotion's `concat`, one-stage latent diffusion, and ablations: they are not exported to a bundle.
+Such models are GraphMotion's `concat`, one-stage latent diffusion, MDM's network, and ablations: they are not exported
+to a bundle.
 """
 
 from __future__ import annotations
@@ -12,17 +13,21 @@ from pathlib import Path
 import torch
 
 from kinegraph.arrays import FloatArray
-from kinegraph.bundle.contract import LEVELS
+from kinegraph.bundle.contract import FRAMES, LEVELS
 from kinegraph.bundle.reader import text_files_folder
 from kinegraph.bundle.tables import bones_of
 from kinegraph.conditioning import GraphArrays
 from kinegraph.diffusion.sampling import LevelPlan, initial_noise
 from kinegraph.graph import SemanticGraph
 from kinegraph.motion.postprocess import enforce_bone_lengths, lock_feet
+from kinegraph_export.add_frames import GUIDANCE as FRAMES_GUIDANCE
+from kinegraph_export.add_frames import STEPS as FRAMES_STEPS
+from kinegraph_export.add_frames import read_frames, sample_frames
 from kinegraph_export.checkpoints import read_run
-from kinegraph_export.pipeline_parity import SamplingRequest, torch_joints
+from kinegraph_export.pipeline_parity import SamplingRequest, as_batch, torch_joints
 from kinegraph_training.bundle_tables import read_tables
 from kinegraph_training.data.caption_cache import CaptionEncoder, tokens_as_graph
+from kinegraph_training.latents import read_vae
 
 FPS = 20
 STEPS = {"motion": 15, "action": 15, "specific": 20}
@@ -92,8 +97,53 @@ class TorchModel:
 
     @torch.no_grad()
     def _encode(self, caption: str | SemanticGraph) -> GraphArrays:
-        """Encode a caption as the run's denoisers were trained: its graph, or its plain tokens."""
-        if self._config.condition == "tokens":
-            words = caption if isinstance(caption, str) else caption.caption
-            return tokens_as_graph(self._encoder.hidden_states(words))
-        return self._encoder.encode(caption)
+        return encode_caption(self._encoder, caption, self._config.condition)
+
+
+class TorchFrames:
+    """Generator of clips from a training run of skeleton space, as `TorchModel` for latent space."""
+
+    fps = FPS
+    seconds_limits = (16 / FPS, 196 / FPS)
+
+    def __init__(self, run: Path, text_files: Path | None = None) -> None:
+        self.name = run.name
+        checkpoint = run / FRAMES / "last.ckpt"
+        self.stamp = hashlib.sha256(checkpoint.read_bytes()).hexdigest()
+        self._trained = read_frames(checkpoint)
+        self._vae = read_vae(run / f"vae_{LEVELS[-1]}" / "last.ckpt")
+        self._encoder = CaptionEncoder(text_files or text_files_folder())
+        self._bones = bones_of(read_tables(run))
+
+    @torch.no_grad()
+    def generate(
+        self,
+        caption: str | SemanticGraph,
+        *,
+        seconds: float,
+        seed: int,
+        steps: list[int] | None = None,
+        guidance: float = FRAMES_GUIDANCE,
+    ) -> TorchClip:
+        """Generate a clip; arguments as in `TorchModel.generate`, `steps` of one level."""
+        hierarchy, vae = self._trained.hierarchy, self._vae
+        arrays = encode_caption(self._encoder, caption, hierarchy.config.condition)
+        part = self._trained.part(FRAMES_STEPS if steps is None else steps[0], guidance)
+        nodes = hierarchy.encode(as_batch(arrays))[0]
+        denoiser = self._trained.denoiser
+        joints = sample_frames(denoiser, arrays, nodes, part, seed, round(seconds * FPS), vae.mean, vae.std)
+        return TorchClip(lock_feet(enforce_bone_lengths(joints, self._bones), FPS))
+
+
+def load_run(run: Path) -> TorchModel | TorchFrames:
+    """Load a training run: its latent denoisers, or those of skeleton space where it has no others."""
+    is_latent = (run / "denoisers" / "last.ckpt").is_file() or not (run / FRAMES / "last.ckpt").is_file()
+    return TorchModel(run) if is_latent else TorchFrames(run)
+
+
+def encode_caption(encoder: CaptionEncoder, caption: str | SemanticGraph, condition: str) -> GraphArrays:
+    """Encode a caption as denoisers were trained: its graph, or its plain tokens (`DenoiserConfig.condition`)."""
+    if condition == "tokens":
+        words = caption if isinstance(caption, str) else caption.caption
+        return tokens_as_graph(encoder.hidden_states(words))
+    return encoder.encode(caption)
