@@ -25,6 +25,7 @@ from kinegraph_export.parity import ParityError
 from kinegraph_training.config import FrameConfig
 from kinegraph_training.models.denoiser import DenoiserConfig, LatentShape
 from kinegraph_training.models.frame_denoiser import FrameDenoiser
+from kinegraph_training.models.hierarchy import Hierarchy
 from support.toy import TOY_BUNDLE
 
 CONFIG = DenoiserConfig(width=16, layers=2, heads=2, feed_forward=32, text_width=48, kind="frames", nodes_seen="all")
@@ -35,7 +36,7 @@ def write_run(folder: Path, per_token: int = 4, features: int = 137, **changes: 
     torch.manual_seed(0)
     config = DenoiserConfig(**{**asdict(CONFIG), **changes})  # type: ignore[arg-type]
     shape = LatentShape(-(-196 // per_token), per_token * features)
-    weights = {f"hierarchy.levels.{FRAMES}.{k}": v for k, v in FrameDenoiser(config, shape).state_dict().items()}
+    weights = {f"hierarchy.{name}": value for name, value in Hierarchy(config, {FRAMES: shape}).state_dict().items()}
     settings = {"config": asdict(config), "latents": {FRAMES: asdict(shape)}, "frames": asdict(FrameConfig(per_token))}
     (folder / FRAMES).mkdir(parents=True)
     torch.save({"hyper_parameters": settings, "state_dict": weights}, folder / FRAMES / "last.ckpt")
