@@ -6,8 +6,9 @@ prediction of the clean frames:
     x_0 <- known where it is known, x_0 elsewhere        eps = (x_t - sqrt(a) x_0) / sqrt(1 - a)
 
 What is known are features (`motion.known_features`): poses and steps, each in the frame of its own body. Places on the
-floor are sums of steps, and held as such. Bones of one length and places come last, in the joints, as under
-`constrained_denoising`; the clip tells what it misses.
+floor are sums of steps, and held as such. Where a joint has to be, and where a loop ends, depends on all of the motion:
+there x_0 is read as joints, which are brought there (`ReachedFrames`). Bones of one length and places come last, in the
+joints, as under `constrained_denoising`; the clip tells what it misses.
 """
 
 from __future__ import annotations
@@ -24,23 +25,23 @@ from kinegraph.bundle.manifest import Manifest
 from kinegraph.clip import Clip
 from kinegraph.conditioning import Conditions
 from kinegraph.constrained_denoising import BegunPrediction, EncodedClip, Wanted, corrected, told_clip
-from kinegraph.constraints import Constraint, EndPose, Keyframe, Path, StartPose, Waypoint
+from kinegraph.constraints import Constraint, EndPose, JointTarget, Keyframe, Loop, Path, StartPose, Waypoint
 from kinegraph.decoding import MotionDecoder
 from kinegraph.denoising import LatentSampler, sample_hierarchy
 from kinegraph.diffusion.composition import CompositionWeights
 from kinegraph.diffusion.sampling import DdimCoefficients, OnStep, PredictNoise
-from kinegraph.errors import InvalidInputError
 from kinegraph.feasibility import frame_of
 from kinegraph.frame_denoising import FrameDecoder, FrameSampler, clean_of, group, noise_of, ungroup
 from kinegraph.keeping import PARTS, Kept
-from kinegraph.motion.features import features_from_joints
+from kinegraph.motion.features import CONTACTS, features_from_joints, joints_from_features
 from kinegraph.motion.known_features import Anchor, KnownFeatures, lead_root
 from kinegraph.motion.postprocess import lock_feet
-from kinegraph.motion.skeleton import PELVIS
+from kinegraph.motion.reaching import MAX_REACH, Pins, reach, smooth_field
+from kinegraph.motion.skeleton import PELVIS, bone_lengths
 from kinegraph.options import GenerateOptions
 
-HELD: Final = (StartPose, EndPose, Keyframe, Path, Waypoint)
-"""Constraints that can be held: whole poses, and places of the root."""
+REACHED: Final = (JointTarget, Loop)
+"""Constraints whose places depend on the whole motion. The others say features: whole poses, and places of the root."""
 PATH_STEP: Final = 0.25
 """Seconds between the places of a path that are held; between them a body sways as it walks."""
 TURN_SECONDS: Final = 1.0
@@ -48,25 +49,6 @@ TURN_SECONDS: Final = 1.0
 
 Hold = Callable[[FloatArray], FloatArray]
 """Clean frames (1, C, z) -> the same with what is known in its place."""
-
-
-def check_held(
-    constraints: object, weight: object, fix: object, strict: bool, sampler: LatentSampler, most: int | None = None
-) -> Wanted:
-    """Check constraints of a clip in skeleton space as far as that goes without it.
-
-    Raises:
-        InvalidInputError: as in `Wanted.check`; also for one that is not of `HELD`.
-    """
-    wanted = Wanted.check(constraints, weight, fix, strict, sampler, most)
-    for index, constraint in enumerate(wanted.constraints):
-        if not isinstance(constraint, HELD):
-            raise InvalidInputError(
-                f"constraints[{index}] is a {type(constraint).__name__}, and such constraints pull in latent space: "
-                f"leave out space={sampler.space!r}, in which {', '.join(each.__name__ for each in HELD[:-1])} and "
-                f"{HELD[-1].__name__} are held, or it"
-            )
-    return wanted
 
 
 def encode_frames(joints: FloatArray, sampler: FrameSampler) -> FloatArray:
@@ -158,6 +140,48 @@ def _headings_of(path: Path, moments: DoubleArray, duration: float, fps: float) 
 
 
 @dataclass(frozen=True)
+class ReachedFrames:
+    """Clean frames of a clip in which joints are brought to where they have to be; a `Hold`.
+
+    Joints reach by `MAX_REACH`, and the body goes the rest of the way; what the network then makes of the rest of the
+    motion is nearer at the next step.
+    """
+
+    wanted: Wanted
+    """Constraints of `REACHED` alone."""
+    frames: int
+    """Of the clip."""
+    manifest: Manifest
+
+    def __call__(self, clean: FloatArray) -> FloatArray:
+        features = ungroup(clean, self.manifest)[0]
+        joints = joints_from_features(features[: self.frames])
+        fps = self.manifest.fps
+        pins = self.wanted.pins(joints, fps)
+        lengths = np.median(bone_lengths(joints), axis=0)
+        moved = reach(_walked_nearer(joints, pins, fps), pins, lengths, fps, foot_fix=False)
+        change = features_from_joints(moved) - features_from_joints(joints)
+        change[:, CONTACTS] = 0.0
+        features[: self.frames] += change
+        return group(features[None], self.manifest)
+
+
+def _walked_nearer(joints: FloatArray, pins: Pins, fps: float) -> FloatArray:
+    """Move a body (frames, 22, 3) over the floor by what is further off than joints reach, smoothly from its start."""
+    missed = np.where(pins.wanted, pins.target - joints, 0.0)
+    missed[:, PELVIS] = 0.0  # which `reach` leads itself
+    far = missed - np.clip(missed, -MAX_REACH, MAX_REACH)
+    walked = np.zeros((len(joints), 3))
+    for axis in (0, 2):
+        furthest = np.take_along_axis(far[..., axis], np.abs(far[..., axis]).argmax(axis=1)[:, None], axis=1)
+        at = furthest[:, 0] != 0.0
+        if at.any():
+            at[0] = True
+            walked[:, axis] = smooth_field(furthest, at, fps)[:, 0]
+    return np.asarray(joints + walked[:, None], dtype=np.float32)
+
+
+@dataclass(frozen=True)
 class HeldFrames:
     """What is known of the clean frames of a clip, as the network has them; a `Hold`."""
 
@@ -167,15 +191,26 @@ class HeldFrames:
     """(1, C, z) of what is known."""
     mask: NDArray[np.bool_]
     """(1, C, z) where it is."""
+    reached: ReachedFrames | None = None
+    """What joints have to reach besides; what is known goes before it."""
 
     @classmethod
-    def of(cls, known: KnownFeatures, manifest: Manifest) -> HeldFrames:
+    def of(cls, known: KnownFeatures, manifest: Manifest, reached: ReachedFrames | None = None) -> HeldFrames:
         """Group and normalise what is known."""
         tokens = group(known.values[None], manifest)
-        return cls(known, manifest, tokens, known.known.reshape(tokens.shape))
+        return cls(known, manifest, tokens, known.known.reshape(tokens.shape), reached)
+
+    @classmethod
+    def wanted(cls, wanted: Wanted, frames: int, whole: int, manifest: Manifest) -> HeldFrames:
+        """Hold all that is wanted of a clip; arguments as in `known_of`."""
+        reached = tuple(each for each in wanted.constraints if isinstance(each, REACHED) and each.weight > 0)
+        reaching = ReachedFrames(replace(wanted, constraints=reached, kept=None), frames, manifest) if reached else None
+        return cls.of(known_of(wanted, frames, whole, manifest.fps), manifest, reaching)
 
     def __call__(self, clean: FloatArray) -> FloatArray:
         """Put what is known into its place, and lead the root to where it has to come by."""
+        if self.reached is not None:
+            clean = self.reached(clean)
         held = np.where(self.mask, self.tokens, clean)
         if not self.known.anchors:
             return held
@@ -266,10 +301,9 @@ def sample_held(
         latents = sampler.sample(conditions, weights, [options], on_step)
         joints = decoder.decode(latents, [options], [caption])[0].joints
         return told_clip(joints, wanted, options, caption, manifest)
-    known = known_of(wanted, frames, sampler.whole_frames(frames), manifest.fps)
-    hold = HeldFrames.of(known, manifest)
+    hold = HeldFrames.wanted(wanted, frames, sampler.whole_frames(frames), manifest)
     latents = sample_known(sampler, conditions, weights, options, hold, wanted.begin, on_step)
-    return read_held(decoder, latents, known, wanted, options, caption, manifest)
+    return read_held(decoder, latents, hold.known, wanted, options, caption, manifest)
 
 
 def read_held(

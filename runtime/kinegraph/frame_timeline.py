@@ -32,7 +32,7 @@ from kinegraph.diffusion.temporal import (
 )
 from kinegraph.errors import InvalidInputError
 from kinegraph.frame_denoising import FrameSampler, part_of
-from kinegraph.frame_inpainting import HeldFrames, HeldPrediction, Hold, known_of, read_held
+from kinegraph.frame_inpainting import HeldFrames, HeldPrediction, Hold, read_held
 from kinegraph.intervals import Interval
 from kinegraph.keeping import PARTS
 from kinegraph.motion.features import CONTACTS, HEIGHT, LAYOUT, POSITIONS, VELOCITIES, WIDTH
@@ -240,7 +240,7 @@ def make_timeline(
         options: of all of them; the length counts for nothing.
         overlap: seconds that neighbours share; None is `OVERLAP`.
         on_step: see `sample_timeline`.
-        wanted: what else the whole has to do, see `frame_inpainting.check_held`.
+        wanted: what else the whole has to do, see `constrained_denoising.Wanted.check`.
 
     Raises:
         InvalidInputError: see `interval_spans`, `features_of_parts`, `Wanted.for_clip`, `told_clip`; or an overlap that
@@ -267,6 +267,6 @@ def make_timeline(
         latents = sample_timeline(sampler, intervals, whole, on_step)
         clip = decoder.decode(latents, [whole], [""])[0]
         return clip if fitting is None else told_clip(clip.joints, fitting, whole, "", manifest)
-    known = known_of(fitting, frames, sampler.whole_frames(frames), manifest.fps)
-    latents = sample_timeline(sampler, intervals, whole, on_step, HeldFrames.of(known, manifest))
-    return read_held(decoder, latents, known, fitting, whole, "", manifest)
+    hold = HeldFrames.wanted(fitting, frames, sampler.whole_frames(frames), manifest)
+    latents = sample_timeline(sampler, intervals, whole, on_step, hold)
+    return read_held(decoder, latents, hold.known, fitting, whole, "", manifest)

@@ -291,7 +291,7 @@ class MotionPipeline:
             foot_fix: lock standing feet where they stand (`motion.postprocess.lock_feet`).
             constraints: what the clip has to do besides (`kinegraph.constraints`): paths, places of joints, poses. The
                 clip tells how far it is from each (`Clip.misses`). Actions in order are then sampled at once. Skeleton
-                space takes poses and places of the root (all but JointTarget and Loop), and holds them at every step.
+                space holds them at every step.
             constraint_weight: of all constraints against the text, 0 to 100; 0 is the clip without them, bit for bit.
             constraint_fix: close in the joints what the model leaves of the way (`motion.reaching`).
             strict: refuse words that the bundle was never shown (`find_unknown`), constraints that nobody can meet, and
@@ -1017,7 +1017,7 @@ class MotionPipeline:
         `most` is the frames that the clip has at most; None is what the bundle makes at a time.
 
         Raises:
-            InvalidInputError: see `constrained_denoising.Wanted.check` and `frame_inpainting.check_held`.
+            InvalidInputError: see `constrained_denoising.Wanted.check`.
         """
         if constraints is None or (isinstance(constraints, list | tuple) and not constraints):
             return None
@@ -1027,10 +1027,6 @@ class MotionPipeline:
         self, constraints: object, weight: object, fix: object, *, strict: bool, most: int | None = None
     ) -> Wanted:
         """Check constraints, or none, as far as that goes without a clip; see `_check_constraints`."""
-        if self.sampler.space != LATENT:
-            from kinegraph.frame_inpainting import check_held
-
-            return check_held(constraints, weight, fix, strict, self.sampler, most)
         from kinegraph.constrained_denoising import Wanted
 
         return Wanted.check(constraints, weight, fix, strict, self.sampler, most)

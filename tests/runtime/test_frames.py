@@ -14,7 +14,6 @@ pytest.importorskip("spacy")
 
 from kinegraph import MotionPipeline
 from kinegraph.bundle.contract import FRAMES
-from kinegraph.constraints import JointTarget
 from kinegraph.diffusion.composition import CompositionWeights
 from kinegraph.diffusion.sampling import StepInfo, ddim_coefficients
 from kinegraph.errors import Cancelled, InvalidInputError
@@ -228,7 +227,6 @@ def test_steps_are_reported_and_can_be_stopped(toy: MotionPipeline) -> None:
         ({"space": None}, "space must be one of"),
         ({"steps": (3, 3, 3)}, "steps must be one number or 1"),
         ({"steps": {"motion": 3}}, "unknown level 'motion'"),
-        ({"constraints": [JointTarget("head", (0, 1, 0), 1.0)]}, "such constraints pull in latent space"),
     ],
 )
 def test_what_skeleton_space_does_not_take(toy: MotionPipeline, options: Any, message: str) -> None:
