@@ -1,12 +1,12 @@
-"""Compare two ways to meet poses and to keep parts of a clip: held in skeleton space, and pulled in latent space.
+"""Compare two ways to meet constraints and to keep parts of a clip: held in skeleton space, and pulled in latent space.
 
     python -m kinegraph_benchmarks.quality.inpainting --bundle BUNDLE --data DATA/bandai --out inpainting.json
 
     ... --cases N                   of each kind (50)
     ... --seeds N                   of each edit (3)
 
-The bundle needs skeleton space. Poses of captured clips (`common.constraint_cases`), also two of them at the ends of
-one clip, are asked for with the same sentences and seeds in both spaces, before and after the correction in the
+The bundle needs skeleton space. What captured clips do (`common.constraint_cases`), also two of their poses at the ends
+of one clip, is asked for with the same sentences and seeds in both spaces, before and after the correction in the
 joints; edits are those of `quality.edits`. Jerk and skate are ratios to the plain clip of the same space, the Frechet
 distance is to captured clips, and time is CPU time of one thread, as a ratio to the plain clip of latent space. Writes
 JSON, and a Markdown table beside it.
@@ -33,8 +33,8 @@ from kinegraph_benchmarks.quality.constraints import SPLIT, frechet, run_case, s
 from kinegraph_benchmarks.quality.edits import EDITS, run_edit
 from kinegraph_training.data.clips import MotionClip, read_split
 
-KINDS: Final = ("keyframe", "start", "end", "keyframe + straight")
-"""Of `constraint_cases.KINDS`: what says whole poses."""
+KINDS: Final = ("keyframe", "start", "end", "keyframe + straight", "hand", "loop", "drawn path")
+"""Of `constraint_cases.KINDS`: whole poses, places of a hand and of the root, and loops."""
 BETWEEN: Final = "between"
 WAYS: Final = {LATENT: "pulled, latent", FRAMES: "held, skeleton"}
 FIRST_SEED: Final = 95_000
@@ -125,7 +125,7 @@ def rates_of(summary: Mapping[str, Any]) -> dict[str, float]:
 def measure(
     pipe: MotionPipeline, clips: Sequence[MotionClip], count: int, seeds: int, evaluator: Evaluator
 ) -> dict[str, Any]:
-    """Compare all kinds of poses, and edits; see `main`."""
+    """Compare all kinds of constraints, and edits; see `main`."""
     captured = evaluator.embed_motions([clip.joints for clip in clips])
     kinds: dict[str, Any] = {}
     for kind, cases in pose_cases(clips, count).items():
