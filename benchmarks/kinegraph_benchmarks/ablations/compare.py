@@ -66,6 +66,7 @@ def main() -> int:
     add_arguments(parser, "data", "held_out", "autoencoders", "out", optional=("out",), repeats=3)
     parser.add_argument("--work", type=Path, required=True, help="folder of the runs")
     parser.add_argument("--preset", default="edge", help="name or absolute path of the base of all variants (edge)")
+    parser.add_argument("--assets", type=Path, help="text files of the autoencoders' run (those of installed bundles)")
     parser.add_argument("--steps", type=int, default=3000, help="training steps of each variant (3000)")
     parser.add_argument("--seeds", type=int, nargs="+", default=[1], help="of the training")
     options = parser.parse_args()
@@ -73,7 +74,8 @@ def main() -> int:
     for seed in options.seeds:
         for variant in options.variants:
             run = prepare_run(variant, seed, options)
-            train(run, options, stage="train_frames" if is_skeleton_space(variant) else "train_denoisers")
+            stage = "train_frames" if is_skeleton_space(variant) else "train_denoisers"
+            train(run, options, stage=stage, assets=options.assets)
             results.setdefault(variant, []).append(evaluate_run(run, options))
     table = markdown_table(results)
     (options.work / "comparison.md").write_text(table, encoding="utf-8")

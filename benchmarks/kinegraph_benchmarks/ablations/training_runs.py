@@ -33,7 +33,11 @@ def link_shared(run: Path, source: Path, names: Sequence[str]) -> None:
 
 
 def train(
-    run: Path, options: argparse.Namespace, extra_arguments: Sequence[str] = (), stage: str = "train_denoisers"
+    run: Path,
+    options: argparse.Namespace,
+    extra_arguments: Sequence[str] = (),
+    stage: str = "train_denoisers",
+    assets: Path | None = None,
 ) -> None:
     """Train the denoisers of a run with its preset.toml, continue, or do nothing if all steps are done.
 
@@ -42,13 +46,14 @@ def train(
         options: `data`, `held_out` and `steps`.
         extra_arguments: of the command.
         stage: module of `kinegraph_training` whose command trains.
+        assets: folder of the text files; None takes those of installed bundles.
     """
     finished = run / "trained"
     if finished.is_file() and finished.read_text() == str(options.steps):
         return
     command = [sys.executable, "-m", f"kinegraph_training.{stage}", "--data", str(options.data)]
     command += ["--held-out", str(options.held_out), "--run", str(run), "--preset", str(run / "preset.toml")]
-    command += ["--assets", str(text_files_folder()), *extra_arguments]
+    command += ["--assets", str(assets or text_files_folder()), *extra_arguments]
     subprocess.run(command, check=True)
     finished.write_text(str(options.steps))
 
