@@ -47,6 +47,7 @@ class DenoiserModule(L.LightningModule):
         latents: dict[str, LatentShape],
         statistics: dict[str, tuple[Tensor, Tensor]],
         spectral_loss: SpectralMotionLoss | None = None,
+        beta_end: float = NoiseSchedule.beta_end,
     ) -> None:
         super().__init__()
         self.spectral_loss = spectral_loss
@@ -54,8 +55,8 @@ class DenoiserModule(L.LightningModule):
         self.save_hyperparameters({"config": vars(config), "training": vars(training), "latents": shapes})
         self.hierarchy = Hierarchy(config, latents)
         self.training_config = training
-        alphas = torch.tensor(NoiseSchedule(train_steps=config.train_steps).alphas_cumprod, dtype=torch.float32)
-        self.register_buffer("alphas", alphas)
+        schedule = NoiseSchedule(train_steps=config.train_steps, beta_end=beta_end)
+        self.register_buffer("alphas", torch.tensor(schedule.alphas_cumprod, dtype=torch.float32))
         for level, (centre, scale) in statistics.items():
             self.register_buffer(f"{level}_centre", centre)
             self.register_buffer(f"{level}_scale", scale)

@@ -13,7 +13,6 @@ import torch
 from torch import Tensor
 
 from kinegraph.bundle.contract import FRAMES, PADDING_BIAS
-from kinegraph.diffusion.sampling import NoiseSchedule
 from kinegraph.errors import InvalidInputError
 from kinegraph_training.config import FrameConfig, OptimiserConfig
 from kinegraph_training.denoiser_batches import DenoiserBatch
@@ -64,11 +63,9 @@ class FrameModule(DenoiserModule):
     def __init__(
         self, config: DenoiserConfig, training: OptimiserConfig, latents: dict[str, LatentShape], frames: FrameConfig
     ) -> None:
-        super().__init__(config, training, latents, {})
+        super().__init__(config, training, latents, {}, beta_end=frames.beta_end)
         self.save_hyperparameters({"frames": asdict(frames)})
         self.features = latents[FRAMES].width // frames.frames_per_token
-        schedule = NoiseSchedule(train_steps=config.train_steps, beta_end=frames.beta_end)
-        self.alphas = torch.tensor(schedule.alphas_cumprod, dtype=torch.float32)
         self.hierarchy.graph_encoder.requires_grad_(not frames.from_latent)
 
     def predict_clean(self, nodes: Tensor, batch: FrameBatch, timestep: Tensor, noise: Tensor) -> Tensor:
