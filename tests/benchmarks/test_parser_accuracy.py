@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import json
 from pathlib import Path
 from types import SimpleNamespace
@@ -11,8 +12,19 @@ import pytest
 pytest.importorskip("torch")
 pytest.importorskip("spacy")
 
+from kinegraph.bundle.reader import text_files_folder
 from kinegraph.graph import ARGUMENT_ROLES, Action, SemanticGraph
-from kinegraph_benchmarks.quality.parser_accuracy import HALVES, HARD, assign_folds, count_negations, score_by_kind
+from kinegraph_benchmarks.quality.parser_accuracy import (
+    HALVES,
+    HARD,
+    assign_folds,
+    compare_weights,
+    count_negations,
+    markdown_table,
+    read_scorer,
+    score_by_kind,
+)
+from support.shared import shared_path
 
 
 def rows(half: str) -> list[dict]:
@@ -76,3 +88,13 @@ def test_captions_alike_but_for_case_are_in_one_fold() -> None:
     folds = assign_folds(captions, 5, 0, scorer)
     assert sorted(set(folds.values())) == [0, 1, 2, 3, 4]
     assert all(folds[f"Person {number} walks."] == folds[f"person {number} walks"] for number in range(20))
+
+
+def test_weights_are_compared_with_one_another_and_the_rules() -> None:
+    scorer, text = read_scorer(shared_path("graphs", "score_graphs.py")), text_files_folder()
+    options = argparse.Namespace(parser=text / "parser.bin", weights=[text / "arguments.npz"], gold=HALVES[0].path)
+    scores = compare_weights(options, scorer)["scores"]
+    assert len(scores) == 6 and all("dev" not in name for name in scores)
+    learnt, rules = (scores[f"hard sentences, held out: {name}"] for name in (text / "arguments.npz", "rules alone"))
+    assert learnt["argument_exact"]["f1"] > rules["argument_exact"]["f1"] > 0.9
+    assert len(markdown_table({"scores": scores}).splitlines()) == 8

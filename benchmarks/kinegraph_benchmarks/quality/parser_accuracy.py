@@ -4,6 +4,8 @@
         --captions DATA/bandai/captions.jsonl \
         --out parser_accuracy.json
 
+    ... --weights FILE [FILE ...]   files arguments.npz beside one another and beside the rules, and nothing is trained
+
 The gold's own scorer (`score_graphs.py` beside it) does the counting. Captions that differ only in case or punctuation
 are in one fold. The harder sentences and the typed ones (`benchmarks/parser`, sets 1 and 2) are parsed with weights
 trained on all of the gold. Their halves "dev" were looked at while the parser was developed; they join the training set
@@ -202,6 +204,21 @@ def measure_sentences(
                 result["kinds"] = score_by_kind(half.path, sentences, graphs, scorer)
 
 
+def compare_weights(options: argparse.Namespace, scorer: ModuleType) -> dict[str, Any]:
+    """Score what files of weights make of the gold and of the halves that were not looked at, beside the rules."""
+    pipeline = options.parser.read_bytes()
+    parsers = {"rules alone": GraphParser(pipeline)}
+    parsers |= {str(path): GraphParser(pipeline, path.read_bytes()) for path in options.weights}
+    sets = {half.name: list(scorer.read_file(half.path)) for half in HALVES if not half.is_dev}
+    sets["gold, each caption once"] = list(scorer.read_file(options.gold))
+    scores = {}
+    for name, sentences in sets.items():
+        for weights, parser in parsers.items():
+            graphs = parse_captions(parser, [caption for caption, _, _ in sentences], scorer)
+            scores[f"{name}: {weights}"] = scorer.score(sentences, graphs, True)
+    return {"scores": scores}
+
+
 def markdown_table(result: dict[str, Any]) -> str:
     """Format a result as Markdown: F1 of actions and arguments, and whole graphs."""
     lines = [
@@ -209,6 +226,8 @@ def markdown_table(result: dict[str, Any]) -> str:
         "|---|" + "---|" * (len(SHOWN) + 2),
     ]
     lines += _rows(result["scores"])
+    if "kinds" not in result:
+        return "\n".join(lines) + "\n"
     lines += ["", "Typed sentences, dev, by kind, with the weights of the default bundle:", "", *lines[:2]]
     lines += _rows(result["kinds"])
     lines.append("")
@@ -233,8 +252,9 @@ def main() -> int:
     parser = benchmark_parser(__doc__)
     parser.add_argument("--gold", type=Path, required=True, help="gold graphs, JSON lines")
     parser.add_argument("--scorer", type=Path, help="score_graphs.py; the one beside the gold without it")
-    parser.add_argument("--captions", type=Path, required=True, help="captions.jsonl of the motion")
+    parser.add_argument("--captions", type=Path, help="captions.jsonl of the motion; only --weights does without")
     parser.add_argument("--parser", type=Path, default=text_files_folder() / "parser.bin", help="the pipeline")
+    parser.add_argument("--weights", type=Path, nargs="+", help="files arguments.npz to compare")
     parser.add_argument("--folds", type=int, default=5, help="of the cross-validation (5)")
     parser.add_argument("--seed", type=int, default=0, help="of the folds")
     parser.add_argument(
@@ -243,7 +263,10 @@ def main() -> int:
     add_arguments(parser, "out")
     options = parser.parse_args()
     torch.set_num_threads(1)
-    result = measure_accuracy(options, read_scorer(options.scorer or options.gold.with_name("score_graphs.py")))
+    scorer = read_scorer(options.scorer or options.gold.with_name("score_graphs.py"))
+    if options.captions is None and not options.weights:
+        parser.error("--captions FILE is needed, or --weights FILE")
+    result = compare_weights(options, scorer) if options.weights else measure_accuracy(options, scorer)
     write_report(options.out, result, markdown_table(result))
     return 0
 
