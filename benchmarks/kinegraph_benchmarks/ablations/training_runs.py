@@ -77,7 +77,7 @@ def markdown_table(results: dict[str, list[dict[str, Any]]]) -> str:
         results: evaluations by row, one for each seed.
     """
     lines = []
-    for split in ("dev_test", "dev_compositional"):
+    for split in next(iter(results.values()))[0]["splits"]:
         lines += [f"**{split}**", "", "| | " + " | ".join(COLUMNS) + " |", "|---|" + "---|" * len(COLUMNS)]
         rows = {"captured": [seed["splits"][split]["captured"] for seed in next(iter(results.values()))[:1]]}
         rows |= {
