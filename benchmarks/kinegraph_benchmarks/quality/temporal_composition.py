@@ -10,9 +10,9 @@ EnergyMoGen's Table 5 in kind: captured clips of two actions, joined as in train
 is asked for and how long each part is. A row is a way to make both: "blend", "continue" and "energy" of
 `MotionPipeline.sequence`, and one sentence of both. Each part's own motion is judged beside its caption (R-precision,
 in groups), the whole beside the captured ones (FID), and the frames around the change by their transition distance.
-"within captured" counts the changes whose distance is within the 95 % of captured motion. Rows "each alone" hold the
-parts by themselves, which tells what joining them costs in each space. A bundle without skeleton space has no row
-"energy". Writes JSON, and a Markdown table beside it.
+"within captured" counts the changes whose distance is within the 95 % of captured motion. Rows "each alone" are parts
+made by themselves and joined as the captured ones are, which tells what a space does and what Eq. 11 costs in it. A
+bundle without skeleton space has no row "energy". Writes JSON, and a Markdown table beside it.
 """
 
 from __future__ import annotations
@@ -35,13 +35,13 @@ from kinegraph_benchmarks.common.report_io import write_report
 from kinegraph_benchmarks.common.sample_cache import long_enough
 from kinegraph_benchmarks.common.scores import average_repeats
 from kinegraph_benchmarks.common.two_action_scores import score_two_actions, transition_distance
-from kinegraph_benchmarks.common.two_action_set import ALONE, TwoActionClip, build_two_action_set
-from kinegraph_training import metrics
+from kinegraph_benchmarks.common.two_action_set import TwoActionClip, build_two_action_set
 from kinegraph_training.data.clips import MotionClip, read_split
-from kinegraph_training.synthetic.compositions import BLEND, HeldOut
+from kinegraph_training.synthetic.compositions import BLEND, HeldOut, stitch_clips
 
 SPLITS: Final = ("val", "dev_test")
 ONE_SENTENCE: Final = "one sentence"
+EACH_ALONE: Final = {"each alone, latent": LATENT, "each alone, skeleton": FRAMES}
 QUANTILE: Final = 0.95
 COLUMNS: Final = (
     "crop_r_precision_1", "crop_r_precision_3", "motion_text_score", "motion_motion_score", "fid",
@@ -55,13 +55,20 @@ def make_pair(pipe: MotionPipeline, item: TwoActionClip, method: str, seed: int)
     Args:
         pipe: the bundle.
         item: two actions in order.
-        method: of `MotionPipeline.sequence`, or `ONE_SENTENCE`.
+        method: of `MotionPipeline.sequence`, `ONE_SENTENCE`, or of `EACH_ALONE`.
         seed: of the first part.
     """
     frames = len(item.joints)
     if method == ONE_SENTENCE:
         (seconds,) = possible_seconds(pipe, [frames])
         return pipe.compose([item.caption], seconds=seconds, seed=seed).joints[:frames]
+    if method in EACH_ALONE:
+        lengths = possible_seconds(pipe, [len(part) for part in item.parts])
+        calls = zip(item.texts, lengths, (seed, seed + 1), strict=True)
+        space = EACH_ALONE[method]
+        return stitch_clips(
+            *(pipe.generate(text, seconds=length, seed=own, space=space).joints for text, length, own in calls)
+        )[:frames]
     lengths = possible_seconds(pipe, [item.cut, frames - item.cut])
     return pipe.sequence(item.texts, seconds=lengths, seed=seed, method=method).joints[:frames]
 
@@ -95,29 +102,6 @@ def measure_method(
     return average_repeats(rows)
 
 
-def measure_alone(pipe: MotionPipeline, items: Sequence[TwoActionClip], space: str, seeds: int) -> dict[str, Any]:
-    """Make both parts of all items by themselves in a space, and score them."""
-    rows = []
-    for take in range(seeds):
-        holds, motions = [], []
-        for row, item in enumerate(items):
-            lengths = possible_seconds(pipe, [item.cut, len(item.joints) - item.cut])
-            parts = [
-                pipe.generate(text, seconds=seconds, seed=1000 * take + 2 * row + number, space=space).joints
-                for number, (text, seconds) in enumerate(zip(item.texts, lengths, strict=True))
-            ]
-            holds.append(all(ALONE[action](part) for action, part in zip(item.actions, parts, strict=True)))
-            motions += parts
-        rows.append(
-            {
-                "both_hold": float(np.mean(holds)),
-                "jerk": float(np.mean([metrics.jerk(joints) for joints in motions])),
-                "foot_skate": float(np.nanmean([metrics.foot_skate(joints) for joints in motions])),
-            }
-        )
-    return average_repeats(rows)
-
-
 def share_within(items: Sequence[TwoActionClip], motions: Sequence[FloatArray], limit: float) -> float:
     """Compute the share of motions whose change from one action to the other is no larger than a limit, metres."""
     pairs = zip(items, motions, strict=True)
@@ -147,11 +131,8 @@ def measure(
     captured = [item.joints for item in items]
     own = score_two_actions(items, captured, evaluator, rng) | {"within_captured": share_within(items, captured, limit)}
     rows: dict[str, Any] = {"captured, joined": average_repeats([own])}
-    has_frames = pipe.manifest.frames_part is not None
-    rows["each alone, latent"] = measure_alone(pipe, items, LATENT, seeds)
-    if has_frames:
-        rows["each alone, skeleton"] = measure_alone(pipe, items, FRAMES, seeds)
-    for method in (ONE_SENTENCE, *(name for name in SEQUENCE_METHODS if name != "energy" or has_frames)):
+    needs_frames = () if pipe.manifest.frames_part is not None else ("energy", "each alone, skeleton")
+    for method in (name for name in (*EACH_ALONE, ONE_SENTENCE, *SEQUENCE_METHODS) if name not in needs_frames):
         rows[method] = measure_method(pipe, items, method, seeds, evaluator, limit)
         print(f"{method}: FID {rows[method]['fid']['mean']:.3f}", file=sys.stderr)
     return {
