@@ -36,7 +36,7 @@ from kinegraph.keeping import PARTS, Kept
 from kinegraph.motion.features import CONTACTS, features_from_joints, joints_from_features
 from kinegraph.motion.known_features import Anchor, KnownFeatures, lead_root
 from kinegraph.motion.postprocess import lock_feet
-from kinegraph.motion.reaching import MAX_REACH, Pins, reach, smooth_field
+from kinegraph.motion.reaching import Pins, reach, smooth_field
 from kinegraph.motion.skeleton import PELVIS, bone_lengths
 from kinegraph.options import GenerateOptions
 
@@ -143,8 +143,8 @@ def _headings_of(path: Path, moments: DoubleArray, duration: float, fps: float) 
 class ReachedFrames:
     """Clean frames of a clip in which joints are brought to where they have to be; a `Hold`.
 
-    Joints reach by `MAX_REACH`, and the body goes the rest of the way; what the network then makes of the rest of the
-    motion is nearer at the next step.
+    Joints reach by `reaching.MAX_REACH`, and the body goes the rest of the way; what the network then makes of the rest
+    of the motion is nearer at the next step.
     """
 
     wanted: Wanted
@@ -168,9 +168,8 @@ class ReachedFrames:
 
 def _walked_nearer(joints: FloatArray, pins: Pins, fps: float) -> FloatArray:
     """Move a body (frames, 22, 3) over the floor by what is further off than joints reach, smoothly from its start."""
-    missed = np.where(pins.wanted, pins.target - joints, 0.0)
-    missed[:, PELVIS] = 0.0  # which `reach` leads itself
-    far = missed - np.clip(missed, -MAX_REACH, MAX_REACH)
+    far = np.where(pins.wanted, pins.target - joints, 0.0) - pins.missed(joints)
+    far[:, PELVIS] = 0.0  # which `reach` leads itself
     walked = np.zeros((len(joints), 3))
     for axis in (0, 2):
         furthest = np.take_along_axis(far[..., axis], np.abs(far[..., axis]).argmax(axis=1)[:, None], axis=1)

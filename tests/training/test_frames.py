@@ -189,7 +189,7 @@ def test_a_run_without_latent_denoisers_is_refused(trained: Path, tmp_path: Path
 
 def test_mdms_network_trains_its_own_graph_encoder_and_is_sampled_in_torch(trained: Path, tmp_path: Path) -> None:
     pytest.importorskip("onnxscript")
-    from kinegraph_benchmarks.common.torch_model import TorchFrames, load_run
+    from kinegraph_benchmarks.common.torch_model import FramesRun, TorchModel
     from kinegraph_export.add_frames import check_fits, read_frames
 
     (tmp_path / "data").symlink_to(trained / "data")
@@ -205,8 +205,8 @@ def test_mdms_network_trains_its_own_graph_encoder_and_is_sampled_in_torch(train
     state = read_checkpoint(tmp_path / "run" / FRAMES / "last.ckpt")
     learnt = set(state["optimizer_states"][0]["state"])
     assert len(learnt) == len(list(found.hierarchy.parameters())), "the graph encoder is not trained"
-    model = load_run(tmp_path / "run")
-    assert isinstance(model, TorchFrames)
+    model = TorchModel(tmp_path / "run")
+    assert isinstance(model.run, FramesRun)
     clips = [model.generate("a person walks", seconds=seconds, seed=1).joints for seconds in (1.0, 2.05)]
     assert [len(joints) for joints in clips] == [20, 41] and all(np.isfinite(joints).all() for joints in clips)
     with pytest.raises(InvalidInputError, match="trained over its graph encoder"):

@@ -17,15 +17,18 @@ from pathlib import Path
 from typing import Any
 
 from kinegraph.bundle.contract import LEVELS
-from kinegraph_benchmarks.ablations.training_runs import evaluate_run, link_shared, markdown_table, train
+from kinegraph_benchmarks.ablations.training_runs import (
+    CAPTION_CACHES,
+    evaluate_run,
+    link_shared,
+    markdown_table,
+    train,
+)
 from kinegraph_benchmarks.common.arguments import add_arguments, benchmark_parser
 from kinegraph_benchmarks.common.report_io import write_report
 from kinegraph_training.config import read_preset
 
 PRESETS = Path(__file__).resolve().parent / "comparisons"
-CACHES = ("captions.npz", "captions.kind", "captions.nodes", "captions.order", "captions.owner", "captions.relation",
-          "captions_masked.npz", "latents.pt", "states.npz", "tables.npz")  # fmt: skip
-"""Files of a run that hold its data and not its weights."""
 
 
 def is_skeleton_space(variant: str) -> bool:
@@ -53,7 +56,9 @@ def prepare_run(variant: str, seed: int, options: argparse.Namespace) -> Path:
     """Make the folder of one run: links to the shared autoencoders and caches, and its preset."""
     run: Path = options.work / f"{variant}_seed{seed}"
     vaes = [f"vae_{level}" for level in LEVELS]
-    link_shared(run, options.autoencoders, [*vaes, *CACHES])
+    # latent denoisers measure the tables themselves, and would write through a link
+    tables = ["tables.npz"] if is_skeleton_space(variant) else []
+    link_shared(run, options.autoencoders, [*vaes, *CAPTION_CACHES, "latents.pt", "states.npz", *tables])
     text = preset_text(variant, options.preset, seed, options.steps)
     (run / "preset.toml").write_text(text, encoding="utf-8")
     return run

@@ -22,7 +22,13 @@ from typing import Any
 import numpy as np
 
 from kinegraph.bundle.contract import LEVELS
-from kinegraph_benchmarks.ablations.training_runs import evaluate_run, link_shared, markdown_table, train
+from kinegraph_benchmarks.ablations.training_runs import (
+    CAPTION_CACHES,
+    evaluate_run,
+    link_shared,
+    markdown_table,
+    train,
+)
 from kinegraph_benchmarks.common.arguments import add_arguments, benchmark_parser
 from kinegraph_benchmarks.common.report_io import write_report
 from kinegraph_training.config import read_preset
@@ -61,7 +67,7 @@ def fine_tune(seed: int, extra_data: Sequence[Path], options: argparse.Namespace
     run, first_run = (options.work / f"{name}_steps{options.steps}_seed{number}" for number in (seed, options.seeds[0]))
     link_shared(run, options.start, AUTOENCODERS)
     if seed != options.seeds[0]:
-        link_shared(run, first_run, ["captions.npz", "latents.pt"])
+        link_shared(run, first_run, [*CAPTION_CACHES, "latents.pt"])
     (run / "preset.toml").write_text(preset_toml(options.preset, seed, options.steps), encoding="utf-8")
     start = ["--start-from", str(options.start / "denoisers" / "last.ckpt")]
     train(run, options, [*start, *(word for folder in extra_data for word in ("--more", str(folder)))])

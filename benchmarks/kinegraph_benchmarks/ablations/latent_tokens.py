@@ -18,7 +18,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from kinegraph_benchmarks.ablations.training_runs import evaluate_run, link_shared, train
+from kinegraph_benchmarks.ablations.training_runs import CAPTION_CACHES, evaluate_run, link_shared, train
 from kinegraph_benchmarks.common.arguments import add_arguments, benchmark_parser
 from kinegraph_benchmarks.common.autoencoder_scores import score_autoencoder
 from kinegraph_benchmarks.common.evaluator import Evaluator
@@ -69,7 +69,7 @@ def evaluate_autoencoder(run: Path, data: Path) -> dict[str, dict[str, float]]:
 def measure_tokens(tokens: int, options: argparse.Namespace) -> dict[str, Any]:
     """Train and measure one number of tokens."""
     run: Path = options.work / f"tokens_{tokens}_seed{options.seed}"
-    link_shared(run, options.autoencoders, ["vae_motion", "vae_action", "captions.npz", "captions_masked.npz"])
+    link_shared(run, options.autoencoders, ["vae_motion", "vae_action", *CAPTION_CACHES])
     (run / "preset.toml").write_text(preset_toml(tokens, options), encoding="utf-8")
     train_vae(run, options)
     train(run, options)

@@ -13,8 +13,12 @@ from typing import Any
 import numpy as np
 
 from kinegraph.bundle.reader import text_files_folder
+from kinegraph_training.data.caption_cache import cache_files
 
 COLUMNS = ("r_precision_1", "fid", "mm_dist", "behaviour", "content", "style", "claims_degrees", "foot_skate", "jerk")
+
+CAPTION_CACHES = [file.name for name in ("captions.npz", "captions_masked.npz") for file in cache_files(Path(name))]
+"""Files of a run that hold its encoded captions."""
 
 
 def link_shared(run: Path, source: Path, names: Sequence[str]) -> None:

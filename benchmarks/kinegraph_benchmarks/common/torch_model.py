@@ -20,7 +20,6 @@ from kinegraph.conditioning import GraphArrays
 from kinegraph.diffusion.sampling import LevelPlan, initial_noise
 from kinegraph.graph import SemanticGraph
 from kinegraph.motion.postprocess import enforce_bone_lengths, lock_feet
-from kinegraph_export.add_frames import GUIDANCE as FRAMES_GUIDANCE
 from kinegraph_export.add_frames import STEPS as FRAMES_STEPS
 from kinegraph_export.add_frames import read_frames, sample_frames
 from kinegraph_export.checkpoints import read_run
@@ -45,8 +44,49 @@ class TorchClip:
     """(frames, 22, 3) metres."""
 
 
+class LatentRun:
+    """Latent denoisers of a training run."""
+
+    def __init__(self, run: Path) -> None:
+        self.trained, self._vae = read_run(run)
+
+    def joints(
+        self, graph: GraphArrays, frames: int, seed: int, steps: list[int] | None, guidance: float
+    ) -> FloatArray:
+        """Sample the joints (frames, 22, 3) of an encoded graph; other arguments as in `TorchModel.generate`."""
+        latents = self.trained.hierarchy.latents
+        if steps is not None:
+            counts = dict(zip(latents, steps, strict=True))
+        else:
+            counts = {level: STEPS[level] for level in latents} if len(latents) > 1 else {LEVELS[-1]: ONE_STAGE_STEPS}
+        plans = [LevelPlan(level, shape.tokens, shape.width, counts[level]) for level, shape in latents.items()]
+        request = SamplingRequest(
+            frames, initial_noise(seed, plans), counts, dict.fromkeys(latents, guidance), GUIDANCE_BASE
+        )
+        return torch_joints(self.trained, graph, request, self._vae.mean, self._vae.std)
+
+
+class FramesRun:
+    """Denoiser of skeleton space of a training run."""
+
+    def __init__(self, run: Path) -> None:
+        self.trained = read_frames(run / FRAMES / "last.ckpt")
+        self._vae = read_vae(run / f"vae_{LEVELS[-1]}" / "last.ckpt")
+
+    @torch.no_grad()
+    def joints(
+        self, graph: GraphArrays, frames: int, seed: int, steps: list[int] | None, guidance: float
+    ) -> FloatArray:
+        """Sample the joints (frames, 22, 3) of an encoded graph; other arguments as in `TorchModel.generate`."""
+        part = self.trained.part(FRAMES_STEPS if steps is None else steps[0], guidance)
+        nodes = self.trained.hierarchy.encode(as_batch(graph))[0]
+        return sample_frames(self.trained.denoiser, graph, nodes, part, seed, frames, self._vae.mean, self._vae.std)
+
+
 class TorchModel:
     """Generator of clips from a training run (see `sample_cache.Model`).
+
+    It samples the run's latent denoisers, or its network of skeleton space where it has no others.
 
     Args:
         run: folder with checkpoints and tables.npz.
@@ -58,11 +98,11 @@ class TorchModel:
 
     def __init__(self, run: Path, text_files: Path | None = None) -> None:
         self.name = run.name
-        checkpoint = run / "denoisers" / "last.ckpt"
-        self.stamp = hashlib.sha256(checkpoint.read_bytes()).hexdigest()
-        self._trained, self._vae = read_run(run)
+        latent, frames = (run / stage / "last.ckpt" for stage in ("denoisers", FRAMES))
+        in_frames = frames.is_file() and not latent.is_file()
+        self.run: LatentRun | FramesRun = FramesRun(run) if in_frames else LatentRun(run)
+        self.stamp = hashlib.sha256((frames if in_frames else latent).read_bytes()).hexdigest()
         self._encoder = CaptionEncoder(text_files or text_files_folder())
-        self._config = self._trained.hierarchy.config
         self._bones = bones_of(read_tables(run))
 
     def generate(
@@ -83,67 +123,14 @@ class TorchModel:
             steps: diffusion steps, in the order of the model's levels.
             guidance: scale, the same at every level.
         """
-        latents = self._trained.hierarchy.latents
-        if steps is not None:
-            counts = dict(zip(latents, steps, strict=True))
-        else:
-            counts = {level: STEPS[level] for level in latents} if len(latents) > 1 else {LEVELS[-1]: ONE_STAGE_STEPS}
-        plans = [LevelPlan(level, shape.tokens, shape.width, counts[level]) for level, shape in latents.items()]
-        request = SamplingRequest(
-            round(seconds * FPS), initial_noise(seed, plans), counts, dict.fromkeys(latents, guidance), GUIDANCE_BASE
-        )
-        joints = torch_joints(self._trained, self._encode(caption), request, self._vae.mean, self._vae.std)
+        graph = self._encode(caption)
+        joints = self.run.joints(graph, round(seconds * FPS), seed, steps, guidance)
         return TorchClip(lock_feet(enforce_bone_lengths(joints, self._bones), FPS))
 
     @torch.no_grad()
     def _encode(self, caption: str | SemanticGraph) -> GraphArrays:
-        return encode_caption(self._encoder, caption, self._config.condition)
-
-
-class TorchFrames:
-    """Generator of clips from a training run of skeleton space, as `TorchModel` for latent space."""
-
-    fps = FPS
-    seconds_limits = (16 / FPS, 196 / FPS)
-
-    def __init__(self, run: Path, text_files: Path | None = None) -> None:
-        self.name = run.name
-        checkpoint = run / FRAMES / "last.ckpt"
-        self.stamp = hashlib.sha256(checkpoint.read_bytes()).hexdigest()
-        self._trained = read_frames(checkpoint)
-        self._vae = read_vae(run / f"vae_{LEVELS[-1]}" / "last.ckpt")
-        self._encoder = CaptionEncoder(text_files or text_files_folder())
-        self._bones = bones_of(read_tables(run))
-
-    @torch.no_grad()
-    def generate(
-        self,
-        caption: str | SemanticGraph,
-        *,
-        seconds: float,
-        seed: int,
-        steps: list[int] | None = None,
-        guidance: float = FRAMES_GUIDANCE,
-    ) -> TorchClip:
-        """Generate a clip; arguments as in `TorchModel.generate`, `steps` of one level."""
-        hierarchy, vae = self._trained.hierarchy, self._vae
-        arrays = encode_caption(self._encoder, caption, hierarchy.config.condition)
-        part = self._trained.part(FRAMES_STEPS if steps is None else steps[0], guidance)
-        nodes = hierarchy.encode(as_batch(arrays))[0]
-        denoiser = self._trained.denoiser
-        joints = sample_frames(denoiser, arrays, nodes, part, seed, round(seconds * FPS), vae.mean, vae.std)
-        return TorchClip(lock_feet(enforce_bone_lengths(joints, self._bones), FPS))
-
-
-def load_run(run: Path) -> TorchModel | TorchFrames:
-    """Load a training run: its latent denoisers, or those of skeleton space where it has no others."""
-    is_latent = (run / "denoisers" / "last.ckpt").is_file() or not (run / FRAMES / "last.ckpt").is_file()
-    return TorchModel(run) if is_latent else TorchFrames(run)
-
-
-def encode_caption(encoder: CaptionEncoder, caption: str | SemanticGraph, condition: str) -> GraphArrays:
-    """Encode a caption as denoisers were trained: its graph, or its plain tokens (`DenoiserConfig.condition`)."""
-    if condition == "tokens":
-        words = caption if isinstance(caption, str) else caption.caption
-        return tokens_as_graph(encoder.hidden_states(words))
-    return encoder.encode(caption)
+        """Encode a caption as the run's denoisers were trained: its graph, or its plain tokens."""
+        if self.run.trained.hierarchy.config.condition == "tokens":
+            words = caption if isinstance(caption, str) else caption.caption
+            return tokens_as_graph(self._encoder.hidden_states(words))
+        return self._encoder.encode(caption)

@@ -176,9 +176,9 @@ def load_model(plan: Plan) -> Model:
     """Load the bundle or the training run of a plan."""
     if plan.run is None:
         return BundleModel(plan.bundle)
-    from kinegraph_benchmarks.common.torch_model import load_run
+    from kinegraph_benchmarks.common.torch_model import TorchModel
 
-    return load_run(plan.run)
+    return TorchModel(plan.run)
 
 
 def evaluate_two_actions(plan: Plan, model: Model, items: Sequence[TwoActionClip], judges: Judges) -> dict[str, Any]:

@@ -131,8 +131,8 @@ def measure(
     captured = [item.joints for item in items]
     own = score_two_actions(items, captured, evaluator, rng) | {"within_captured": share_within(items, captured, limit)}
     rows: dict[str, Any] = {"captured, joined": average_repeats([own])}
-    needs_frames = () if pipe.manifest.frames_part is not None else ("energy", "each alone, skeleton")
-    for method in (name for name in (*EACH_ALONE, ONE_SENTENCE, *SEQUENCE_METHODS) if name not in needs_frames):
+    left_out = () if pipe.manifest.frames_part is not None else ("energy", "each alone, skeleton")
+    for method in (name for name in (*EACH_ALONE, ONE_SENTENCE, *SEQUENCE_METHODS) if name not in left_out):
         rows[method] = measure_method(pipe, items, method, seeds, evaluator, limit)
         print(f"{method}: FID {rows[method]['fid']['mean']:.3f}", file=sys.stderr)
     return {

@@ -173,6 +173,11 @@ def array_file(cache: Path, name: str) -> Path:
     return cache.with_suffix(f".{name}")
 
 
+def cache_files(cache: Path) -> list[Path]:
+    """List a cache and the files of its arrays."""
+    return [cache, *(array_file(cache, name) for name in _STORED)]
+
+
 def _unfinished(cache: Path, name: str) -> Path:
     return cache.with_suffix(f".{name}.part")
 
