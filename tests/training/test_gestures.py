@@ -9,7 +9,7 @@ from support.motions import posed, walk
 
 pytest.importorskip("torch")
 
-from kinegraph.motion.skeleton import JOINT_INDEX, bone_lengths, facing_angle
+from kinegraph.motion.skeleton import JOINT_INDEX, JOINT_NAMES, bone_lengths, facing_angle
 from kinegraph_training.data.clips import MotionClip
 from kinegraph_training.synthetic.gestures import MADE, gesture_weight, make_gesture, make_gestures
 from kinegraph_training.synthetic.paths import bend, circle_turn, is_straight, make_bent, u_turn
@@ -41,7 +41,12 @@ def test_bones_keep_their_lengths_and_the_legs_their_place(label: str) -> None:
         legs = [
             JOINT_INDEX[f"{side}_{name}"] for side in ("left", "right") for name in ("hip", "knee", "ankle", "foot")
         ]
-        np.testing.assert_array_equal(out[:, [0, *legs]], body[:, [0, *legs]])
+        still = (
+            [0, *legs]
+            if label != "bow"
+            else [joint for joint in legs if JOINT_NAMES[joint].endswith(("ankle", "foot"))]
+        )
+        np.testing.assert_array_equal(out[:, still], body[:, still])
         assert np.isfinite(out).all()
 
 
@@ -71,6 +76,20 @@ def test_clapping_hands_meet_and_part() -> None:
     gap = np.linalg.norm(out[:, LEFT] - out[:, RIGHT], axis=-1)
     middle = gap[25:60]
     assert middle.min() < 0.25 and reversals(middle) >= 3
+
+
+def test_a_bow_brings_the_head_down_and_forward_over_feet_that_stay() -> None:
+    for seed in range(6):
+        out = make_gesture(standing(100), "bow", np.random.default_rng(seed))
+        lowest = int(out[:, HEAD, 1].argmin())
+        head, pelvis = out[lowest, HEAD] - out[0, HEAD], out[lowest, 0] - out[0, 0]
+        assert head[1] < -0.08 and head[2] > 0.15
+        assert -0.1 < pelvis[1] < 0.01 and pelvis[2] < 0.02
+        assert np.abs(out[:, :, 0] - standing(100)[:, :, 0]).max() < 0.01
+        # the knees bend forwards, as far as they must
+        knee = JOINT_INDEX["left_knee"]
+        assert np.ptp(out[:, knee, 2]) < 0.12
+        assert np.abs(np.diff(out, axis=0)).max() < 0.15
 
 
 def test_a_gesture_enters_and_leaves_smoothly() -> None:

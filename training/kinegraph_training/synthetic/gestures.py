@@ -1,8 +1,8 @@
 """Made gestures: arms posed by inverse kinematics on captured bodies, where no free recording holds the gesture.
 
 A gesture is a path of the wrists in the frame of the chest, entered from the pose that the body has, held or repeated,
-and left again. Waving and clapping are oscillations of that path; nodding is one of the head. The body below is a
-recording of somebody who stands or walks.
+and left again. Waving and clapping are oscillations of that path; nodding is one of the head. A bow bends the trunk
+over the hips, which go back while the feet stay. The rest is a recording of somebody who stands or walks.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from typing import Final
 import numpy as np
 
 from kinegraph.arrays import DoubleArray, FloatArray
-from kinegraph.motion.skeleton import JOINT_INDEX, start_at_origin
+from kinegraph.motion.skeleton import JOINT_INDEX, JOINT_NAMES, start_at_origin
 from kinegraph_training.data.clips import MotionClip
 from kinegraph_training.data.common_skeleton import trunk_frames
 from kinegraph_training.metrics import FPS
@@ -22,9 +22,24 @@ from kinegraph_training.synthetic.caption_grammar import CAPTIONS, concept_capti
 
 ENTER_SECONDS: Final = (0.4, 0.8)
 """Range of the time that a hand takes to its place, and back."""
+BOW_SECONDS: Final = (0.6, 1.2)
+"""Range of the time that a bow takes down, and up."""
+BOW_DEGREES: Final = (30.0, 65.0)
+BOW_JOINTS: Final = {"hips": 0.5, "spine1": 0.25, "spine2": 0.25}
+"""Shares of a bow that are bent at each place."""
+BOW_BACK: Final = 0.12
+"""Metres that the hips go back, times the sine of the bow: so the weight stays over the feet."""
+ARMS_HANG: Final = 0.6
+"""Share of a bow that the arms do not follow, as they hang."""
 HOLD_SECONDS: Final = (0.8, 3.5)
 REACH: Final = 0.985
 """Largest distance of shoulder and wrist as a share of the straight arm."""
+TRUNK: Final = tuple(
+    JOINT_INDEX[name]
+    for name in JOINT_NAMES
+    if name.endswith(("neck", "head", "collar", "shoulder", "elbow", "wrist")) or name.startswith("spine")
+)
+"""Joints above the pelvis, parents first."""
 CLIP_SECONDS: Final = (2.0, 6.0)
 MIN_SECONDS: Final = 1.8
 STAYS: Final = 0.3
@@ -71,6 +86,7 @@ MADE: Final[dict[str, tuple[str, tuple[str, ...]]]] = {
     **{f"thumbs-up-{side}": ("thumbs-up", (side,)) for side in ("left", "right")},
     "spread-arms": ("spread", ("left", "right")),
     "nod": ("nod", ()),
+    "bow": ("bow", ()),
 }
 """Label -> its gesture and the arms that make it."""
 
@@ -87,6 +103,8 @@ def make_gesture(body: FloatArray, label: str, rng: np.random.Generator) -> Floa
         (frames, 22, 3) with the body's bone lengths.
     """
     name, arms = MADE[label]
+    if name == "bow":
+        return bow(body, gesture_weight(len(body), rng, BOW_SECONDS), rng)
     weight = gesture_weight(len(body), rng)
     if name == "nod":
         return nod(body, weight, rng)
@@ -102,9 +120,9 @@ def make_gesture(body: FloatArray, label: str, rng: np.random.Generator) -> Floa
     return out
 
 
-def gesture_weight(frames: int, rng: np.random.Generator) -> DoubleArray:
+def gesture_weight(frames: int, rng: np.random.Generator, seconds: tuple[float, float] = ENTER_SECONDS) -> DoubleArray:
     """Draw how much of a gesture is there at each frame (frames,): it comes, stays and usually goes."""
-    enter, leave = (max(4, round(rng.uniform(*ENTER_SECONDS) * FPS)) for _ in range(2))
+    enter, leave = (max(4, round(rng.uniform(*seconds) * FPS)) for _ in range(2))
     longest = max(1, frames - enter)
     hold = min(longest, round(rng.uniform(*HOLD_SECONDS) * FPS))
     if rng.random() < STAYS:
@@ -143,14 +161,31 @@ def pose_arm(body: FloatArray, side: str, place: DoubleArray, pole: DoubleArray,
     direction = _unit(_slerp(_unit(own), _unit(target), weight))
     bend = (1 - share) * _unit(body[:, elbow] - origin) + share * _unit(chest @ (pole * outwards))
     bend = _unit(bend - (bend * direction).sum(-1, keepdims=True) * direction)
-    # Law of cosines: how far along the line to the wrist the elbow stands, and how far beside it
-    along = (upper**2 - fore**2 + distance**2) / (2 * distance)
-    beside = np.sqrt(np.clip(upper**2 - along**2, 0.0, None))
+    middle, end = two_bones(origin, distance[:, None] * direction, bend, upper, fore)
     out = body.copy()
     moved = (weight > 0)[:, None]
-    out[:, elbow] = np.where(moved, origin + along[:, None] * direction + beside[:, None] * bend, body[:, elbow])
-    out[:, wrist] = np.where(moved, origin + distance[:, None] * direction, body[:, wrist])
+    out[:, elbow] = np.where(moved, middle, body[:, elbow])
+    out[:, wrist] = np.where(moved, end, body[:, wrist])
     return out
+
+
+def two_bones(
+    origin: DoubleArray, reach: DoubleArray, bend: DoubleArray, upper: DoubleArray, lower: DoubleArray
+) -> tuple[DoubleArray, DoubleArray]:
+    """Place the middle and the end of a chain of two bones by the law of cosines.
+
+    Args:
+        origin: (frames, 3) of the chain.
+        reach: (frames, 3) from the origin to the end; no longer than both bones.
+        bend: (frames, 3) unit vector at a right angle to `reach`: where the middle goes.
+        upper: (frames,) length of the first bone.
+        lower: (frames,) length of the second.
+    """
+    distance = np.linalg.norm(reach, axis=-1).clip(min=1e-9)
+    # how far along the line to the end the middle stands, and how far beside it
+    along = (upper**2 - lower**2 + distance**2) / (2 * distance)
+    beside = np.sqrt(np.clip(upper**2 - along**2, 0.0, None))
+    return origin + (along / distance)[:, None] * reach + beside[:, None] * bend, origin + reach
 
 
 def nod(body: FloatArray, weight: DoubleArray, rng: np.random.Generator) -> FloatArray:
@@ -165,6 +200,64 @@ def nod(body: FloatArray, weight: DoubleArray, rng: np.random.Generator) -> Floa
     out = body.copy()
     out[:, head] = body[:, neck] + np.einsum("tij,tj->ti", chest, turned)
     return out
+
+
+def bow(body: FloatArray, weight: DoubleArray, rng: np.random.Generator) -> FloatArray:
+    """Let the body bow: the trunk bends forward over the hips, which go back; ankles and feet stay.
+
+    Args:
+        body: (frames, 22, 3).
+        weight: (frames,) 0 leaves the body as it is, 1 is the whole bow.
+        rng: draws how deep it is, by `BOW_DEGREES`.
+    """
+    angle = np.radians(rng.uniform(*BOW_DEGREES)) * weight
+    hips = [JOINT_INDEX["left_hip"], JOINT_INDEX["right_hip"]]
+    left = _unit((body[:, hips[0]] - body[:, hips[1]]).astype(np.float64) * [1, 0, 1])
+    forward = np.cross(left, [0.0, 1.0, 0.0])
+    out = shift_hips(body.astype(np.float64), -BOW_BACK * np.sin(angle)[:, None] * forward)
+    for place, share in BOW_JOINTS.items():
+        pivot = out[:, hips].mean(1) if place == "hips" else out[:, JOINT_INDEX[place]].copy()
+        above = [JOINT_INDEX["pelvis"], *TRUNK] if place == "hips" else TRUNK[TRUNK.index(JOINT_INDEX[place]) + 1 :]
+        out[:, above] = _turn(out[:, above], pivot, left, share * angle)
+    for side in ("left", "right"):
+        shoulder, *arm = (JOINT_INDEX[f"{side}_{name}"] for name in ("shoulder", "elbow", "wrist"))
+        out[:, arm] = _turn(out[:, arm], out[:, shoulder], left, -ARMS_HANG * angle)
+    return np.where((weight > 0)[:, None, None], out, body).astype(body.dtype)
+
+
+def shift_hips(body: DoubleArray, shift: DoubleArray) -> DoubleArray:
+    """Move everything but the legs by `shift` (frames, 3), and bend the knees so that ankles and feet stay.
+
+    Where a leg would be too short, all goes down as far as it must.
+    """
+    legs = [[JOINT_INDEX[f"{side}_{name}"] for name in ("hip", "knee", "ankle")] for side in ("left", "right")]
+    drop = np.zeros(len(body))
+    for hip, _, ankle in legs:
+        span, moved = body[:, hip] - body[:, ankle], body[:, hip] + shift - body[:, ankle]
+        room = (span**2).sum(-1) - (moved[:, [0, 2]] ** 2).sum(-1)
+        drop = np.maximum(drop, moved[:, 1] - np.sqrt(room.clip(min=0.0)))
+    shift = shift - drop[:, None] * [0.0, 1.0, 0.0]
+    out = body.copy()
+    feet = [JOINT_INDEX[f"{side}_foot"] for side in ("left", "right")]
+    upper = [joint for joint in range(body.shape[1]) if joint not in (*feet, *(j for leg in legs for j in leg[1:]))]
+    out[:, upper] += shift[:, None]
+    for hip, knee, ankle in legs:
+        reach = body[:, ankle] - out[:, hip]
+        bones = (np.linalg.norm(body[:, a] - body[:, b], axis=-1) for a, b in ((knee, hip), (ankle, knee)))
+        direction = _unit(reach)
+        bend = body[:, knee] - body[:, hip]
+        bend = _unit(bend - (bend * direction).sum(-1, keepdims=True) * direction)
+        out[:, knee], _ = two_bones(out[:, hip], reach, bend, *bones)
+    return out
+
+
+def _turn(points: DoubleArray, pivot: DoubleArray, axis: DoubleArray, angle: DoubleArray) -> DoubleArray:
+    """Turn points (frames, joints, 3) about an axis (frames, 3) through a pivot (frames, 3) by angles (frames,)."""
+    axis, local = axis[:, None], points - pivot[:, None]
+    cos, sin = np.cos(angle)[:, None, None], np.sin(angle)[:, None, None]
+    along = (local * axis).sum(-1, keepdims=True) * axis
+    # Rodrigues' formula
+    return pivot[:, None] + local * cos + np.cross(axis, local) * sin + along * (1 - cos)
 
 
 def _unit(vectors: DoubleArray) -> DoubleArray:
