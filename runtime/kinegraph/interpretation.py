@@ -16,6 +16,7 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from dataclasses import replace
+from itertools import pairwise
 from typing import Final
 
 from kinegraph.errors import InvalidGraphError
@@ -44,7 +45,8 @@ def split_negations(graph: SemanticGraph) -> tuple[SemanticGraph | None, list[Se
     Returns:
         The graph without its negated actions and their words, None if nothing is left; and each negated action as a
         graph of its own that is not negated, with a plain caption: "a person waves the hands" for "without waving the
-        hands", "a person raises the arms" for "keeping the arms down".
+        hands", "a person raises the arms" for "keeping the arms down". The verb of "runs and stops waving" goes with
+        the wave, as the run goes on; that of "runs and stops running" stays.
 
     Raises:
         InvalidGraphError: a caption becomes longer than allowed.
@@ -53,12 +55,32 @@ def split_negations(graph: SemanticGraph) -> tuple[SemanticGraph | None, list[Se
     if not negated:
         return graph, []
     pieces = Pieces(graph)
-    return _without_actions(pieces, negated), [_told_alone(pieces, action) for action in negated]
+    removed = [*negated, *_ending_what_else(graph)]
+    return _without_actions(pieces, removed), [_told_alone(pieces, action) for action in negated]
+
+
+def _ending_what_else(graph: SemanticGraph) -> list[Action]:
+    """Find the verbs that end something else than what the rest of the sentence does ("runs and | stops | waving")."""
+    endings = [
+        (action, following)
+        for action, following in pairwise(graph.actions)
+        if _base(action.text) in lexicon.ENDING and not action.negated and following.negated
+    ]
+    verbs = [action for action, _ in endings]
+    goes_on = {_base(action.text) for action in graph.actions if not action.negated and action not in verbs}
+    going = goes_on | lexicon.TRAVEL_ON
+    return [action for action, ended in endings if goes_on and _base(ended.text) not in going]
+
+
+def _base(word: str) -> str:
+    """Return the base of a verb: "stop" for "stops" and "stopping"."""
+    lower = word.lower()
+    return lexicon.FINITE_VERBS.get(lower) or lexicon.PARTICIPLES.get(lower, lower)
 
 
 def _without_actions(pieces: Pieces, removed: Sequence[Action]) -> SemanticGraph | None:
     """Remove actions with their words and what negates them; None if no action is left."""
-    kept_actions = [action for action in pieces.graph.actions if not action.negated]
+    kept_actions = [action for action in pieces.graph.actions if action not in removed]
     heads = {index for action in kept_actions for index in pieces.of(action)}
     lost_heads = {index for action in removed for index in pieces.of(action)} - heads
     pruned = []
@@ -206,7 +228,7 @@ _TURN_VERBS: Final = frozenset("turn rotate spin pivot twirl swivel revolve whir
 
 
 def _is_turn(word: str) -> bool:
-    return (lexicon.FINITE_VERBS.get(word) or lexicon.PARTICIPLES.get(word, word)) in _TURN_VERBS
+    return _base(word) in _TURN_VERBS
 
 
 def _write_directions(pieces: Pieces, items: Sequence[Item], directions: Sequence[int]) -> SemanticGraph:

@@ -40,6 +40,7 @@ def told(caption: str, *verbs: str) -> list[tuple[str, str]]:
         ("please make the woman walk", ["make", "walk"]),
         ("a man doesn't walk", ["walk"]),
         ("a girl stops walking", ["walking"]),
+        ("a girl walks and stops raising the left arm", ["walks", "stops", "raising"]),
         ("she raises the left arm", ["raises"]),
         ("a person raises a hand", ["raises"]),
         ("a person walks and raises both arms", ["walks", "raises"]),

@@ -167,11 +167,16 @@ class _Finder:
     def _is_known(self, index: int) -> bool:
         word = self._words[index].text
         following = self._words[index + 1].text if index + 1 < len(self._words) else ""
-        if (word in STOPS and following.endswith("ing")) or word + following in lexicon.ROTATIONS:
+        if self._ends_an_action(index) or word + following in lexicon.ROTATIONS:
             return True
         if word in ("couple", "pair") and following == "of":
             return True
         return word[0].isdigit() or self._is_shown(word) or all(map(self._is_shown, word.split("-")))
+
+    def _ends_an_action(self, index: int) -> bool:
+        """Tell whether a word is a verb that negates the participle after it ("| stops | waving")."""
+        following = self._words[index + 1].text if index + 1 < len(self._words) else ""
+        return self._words[index].text in STOPS and following.endswith("ing")
 
     def _is_shown(self, word: str) -> bool:
         """Tell whether a word, or a part of a hyphenated one, is in a caption of training or names no motion."""
@@ -184,7 +189,7 @@ class _Finder:
         text = word.text
         if len(text) < _MIN_CORRECTED or not text.isascii() or not text.isalpha() or self._is_shown(text):
             return word
-        if text in PERSON_PLURALS or any(map(self._encoder.is_word, base_forms(text))):
+        if text in PERSON_PLURALS | STOPS or any(map(self._encoder.is_word, base_forms(text))):
             return word
         for edit in edits_of(text):
             is_long = len(edit) >= _MIN_CORRECTED
@@ -273,7 +278,8 @@ class _Finder:
         """Find verbs that training never joined with what follows them; what overlaps is one span."""
         seen, last = self._vocabulary.combinations, None
         for combination in combinations(self._words, self._graph):
-            if combination.key in seen or self._words[combination.first].text in FUNCTION:
+            first = combination.first
+            if combination.key in seen or self._words[first].text in FUNCTION or self._ends_an_action(first):
                 continue
             if not unknown.isdisjoint(range(combination.first, combination.last + 1)):
                 continue
