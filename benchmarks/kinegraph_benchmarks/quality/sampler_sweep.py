@@ -30,7 +30,18 @@ from kinegraph_benchmarks.quality.composition_settings import PAIRS, WORDS
 from kinegraph_benchmarks.quality.evaluate import SPLITS, Plan, evaluate, format_ratio
 from kinegraph_benchmarks.quality.everyday import PARAPHRASES, Prompt, measure_prompts, read_prompts, summarise
 
-STEPS = ((4, 4, 4), (6, 6, 8), (8, 8, 10), (10, 10, 10), (15, 15, 20), (20, 15, 15), (25, 25, 25), (50, 50, 50))
+STEPS = (
+    (2, 2, 2),
+    (3, 3, 3),
+    (4, 4, 4),
+    (6, 6, 8),
+    (8, 8, 10),
+    (10, 10, 10),
+    (15, 15, 20),
+    (20, 15, 15),
+    (25, 25, 25),
+    (50, 50, 50),
+)
 GUIDANCE = (1.0, 1.5, 2.0, 2.5, 3.0, 4.0, 6.0)
 SPACINGS: tuple[Spacing, ...] = ("leading", "trailing")
 BASES: tuple[GuidanceBase, ...] = ("empty", "coarse")
