@@ -172,6 +172,8 @@ def test_what_happens_at_once_is_one_part(parser: GraphParser, caption: str) -> 
     [
         ("walk forward and clap", "a person walks forward and claps"),
         ("walk forward, then bow", "a person walks forward, then bows"),
+        ("run while they cheer", "a person runs while they cheer"),
+        ("jog ahead with both arms held high", "a person jogs ahead with both arms held high"),
         ("1. squat 2. leap 3. clap", "a person squats, then leaps, then claps"),
         ("jumping on the spot", "a person jumps on the spot"),
         ("kneels down", "a person kneels down"),

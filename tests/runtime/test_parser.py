@@ -47,6 +47,8 @@ def edges(graph: SemanticGraph) -> set[tuple[str, str, str]]:
         ("a person walks slowly", "walks", "ARGM-MNR", "slowly"),
         ("a person turns left after a few steps", "turns", "ARGM-TMP", "after a few steps"),
         ("a person walks to the left", "walks", "ARGM-DIR", "to the left"),
+        ("turn left without moving the hands", "turn", "ARGM-DIR", "left"),
+        ("the man left without his bag", "left", "ARGM-MNR", "without his bag"),
         ("a person jumps if someone claps", "jumps", "ARGM-ADV", "if someone claps"),
         ("a person does not run", "run", "OTHERS", "not"),
         ("the person is pushed by a man", "pushed", "ARG1", "the person"),
@@ -71,6 +73,17 @@ def test_actions_are_found_in_the_order_of_the_sentence(parser: GraphParser, cap
     graph = parser.parse(caption)
     assert [action.text for action in graph.actions] == actions
     assert [action.order for action in graph.actions] == list(range(len(actions)))
+
+
+@pytest.mark.parametrize("verb", ["turn", "a person slowly turns", "he walked", "jumping"])
+@pytest.mark.parametrize("rest", ["", "without waving", "like a robot", "two steps", "a bit", "twice", "into a room"])
+def test_left_is_read_as_right_is(parser: GraphParser, verb: str, rest: str) -> None:
+    left, right = (
+        {(action, role, words.replace(side, "...")) for action, role, words in edges(parser.parse(caption))}
+        for side in ("left", "right")
+        for caption in [f"{verb} {side} {rest}".rstrip()]
+    )
+    assert left == right and any(words.startswith("...") for _, _, words in left)
 
 
 def test_a_shared_subject_belongs_to_every_action(parser: GraphParser) -> None:

@@ -31,6 +31,14 @@ _SIDE_FOLLOWERS = frozenset(
     "and or but then while when before after by for at with in around again until over along through on during"
     " from".split()
 )
+_VERB_SIDE_FOLLOWERS = (
+    lexicon.DIRECTION_PREPOSITIONS
+    | lexicon.TIME_PREPOSITIONS
+    | lexicon.MANNER_PREPOSITIONS
+    | lexicon.TIME_ADVERBS
+    | frozenset("a an one two three four five six seven eight nine ten some once twice thrice because instead".split())
+)
+"""Words behind "left" and "right" that make them adverbs where a verb stands before ("turns left without ...")."""
 _INTRANSITIVE_FOLLOWERS = (
     _SIDE_FOLLOWERS
     | lexicon.DIRECTION_ADVERBS
@@ -289,9 +297,22 @@ def _is_noun(lower: Sequence[str], index: int) -> bool:
 
 
 def _is_direction(lower: Sequence[str], index: int) -> bool:
-    """Tell whether "left" or "right" at an index is an adverb, not an adjective or a noun."""
+    """Tell whether "left" or "right" at an index is an adverb, not an adjective, a noun, or the past of "leave"."""
     before = lower[index - 1] if index else ""
-    return before.isalpha() and before not in _DETERMINERS and _ends_phrase(lower, index + 1)
+    if not before.isalpha() or before in _DETERMINERS:
+        return False
+    following = lower[index + 1] if index + 1 < len(lower) else ""
+    return _ends_phrase(lower, index + 1) or (following in _VERB_SIDE_FOLLOWERS and _is_behind_verb(lower, index))
+
+
+def _is_behind_verb(lower: Sequence[str], index: int) -> bool:
+    """Tell whether a verb of motion stands before an index, with nothing but adverbs in -ly between."""
+    before = index - 1
+    while before > 0 and lower[before].endswith("ly"):
+        before -= 1
+    word = lower[before]
+    is_past = word.endswith("ed") or word in lexicon.IRREGULAR_FORMS
+    return is_past or word in lexicon.VERBS or word in lexicon.FINITE_VERBS or word in lexicon.PARTICIPLES
 
 
 def _ends_phrase(lower: Sequence[str], index: int) -> bool:

@@ -327,10 +327,16 @@ def _has(action: Action, subject: Argument) -> bool:
 
 
 def _nearest_subject(pieces: Pieces, actions: Sequence[Action], action: Action) -> Argument | None:
-    """Find who does something else, nearest before an action without a subject, else behind; never the reader."""
+    """Find who does something else, nearest before an action without a subject, else behind; never the reader.
+
+    Who is named behind an order does something of their own ("run | while they cheer").
+    """
+    is_order = form(action.text) == "base"
     for other in sorted(actions, key=lambda other: (other.start > action.start, abs(other.start - action.start))):
         subject = subject_of(pieces.graph, other)
-        if subject is not None and not any(pieces.word(index) in READERS for index in pieces.of(subject)):
+        if subject is None or (is_order and subject.start > action.start):
+            continue
+        if not any(pieces.word(index) in READERS for index in pieces.of(subject)):
             return subject
     return None
 
