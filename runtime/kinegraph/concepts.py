@@ -34,21 +34,21 @@ alone, and in 65 % by the joint text alone (`kinegraph_benchmarks.quality.compos
 NEGATION_WEIGHT: Final = -1.0
 """Default weight of what must not happen.
 
-At -1, negating one of two actions that a sentence names suppresses it in 92 % of clips and costs 8 % of the other; at
--0.5 it suppresses 15 %. It also takes what the unwanted has in common with the wanted: "not runs" leaves 20 % of the
-walks, and 95 % at -0.3 (`kinegraph_benchmarks.quality.composition_settings`).
+At -1, negating one of two actions that a sentence names suppresses it in 91 % of clips and costs 1 % of the other; at
+-0.5 it suppresses 30 %. It also takes what the unwanted has in common with the wanted: "not runs" leaves 40 % of the
+walks, and all at -0.5 (`kinegraph_benchmarks.quality.composition_settings`, studio 0.7.0).
 """
 SPOKEN_NEGATION_WEIGHT: Final = -0.5
 """Weight of an action that a sentence itself negates ("without waving").
 
 The rest of the sentence does not name it, so less than -1 is enough. Over 74 sentences in eight forms the action is
-gone in as many clips at -0.5 as at -1. The rest holds in 99.7 % of what it holds without the negation at -0.5, in 93 %
-at -1: "walks, not running" loses 21 % of the walks (`kinegraph_benchmarks.quality.negations`).
+gone in every clip, and the rest holds as often as without the negation (`kinegraph_benchmarks.quality.negations`,
+studio 0.7.0). At -1, "walks, not running" loses walks.
 """
 MAX_STEP_SIZE: Final = 1.0
 """Largest step size of adaptive gradient descent.
 
-At 0.1 EnergyMoGen's motions are spoilt (Table 9), and the default bundle's are nearest to ground truth
+From 0.1 on EnergyMoGen's motions are spoilt (Table 9), and so are the default bundle's
 (`kinegraph_benchmarks.quality.composition_settings`).
 """
 MAX_WEIGHT: Final = 10.0

@@ -276,9 +276,8 @@ class MotionPipeline:
         """Make a clip for a sentence or a graph. The same arguments give the same clip, bit for bit.
 
         Negated actions ("without waving") are taken away (Eq. 8). A length in words ("for four seconds") holds where
-        `seconds` is not given. Actions in order ("walks, then bows") are made one by one and joined where the clip is
-        too short for the model to do them in one (`request.SECONDS_PER_ACTION`). What the sentence asks for and does
-        not get stands in the clip's `notes`.
+        `seconds` is not given. Actions in order ("walks, then bows") are made one by one and joined. What the sentence
+        asks for and does not get stands in the clip's `notes`.
 
         Args:
             text: a sentence, or its graph; weighted edges count as `concepts.weighted_edge_terms` says.
@@ -544,14 +543,14 @@ class MotionPipeline:
         Args:
             concepts: up to 8, each a part of what happens (`conditioning.as_partial`), unless only one is positive. A
                 negative weight is what must not happen. It takes what both have in common, too:
-                -0.3 beside something alike ("walks", not "runs"), -1 against an action that the rest names.
+                -0.5 beside something alike ("walks", not "runs"), -1 against an action that the rest names.
             method: "latent" adds predictions (Eq. 7, 8), "semantic" averages attention (Eq. 9), "fused" blends both
                 with the joint text (Eq. 10) and takes away what is negated (Eq. 8).
             text: the joint text of "fused"; None joins the positive concepts with "while".
             lambdas: of "fused": shares of latent, semantic and joint text; default (0.2, 0.1, 0.7).
             agd: step sizes (gamma_attn, gamma_reg) of adaptive gradient descent (Eq. 3, 4), each 0 to 1: EnergyMoGen
-                has (0.0004, 0.0004) for several concepts and (0.001, 0.002) for one sentence of several; the default
-                bundle does best with (0.1, 0.1). None is off.
+                has (0.0004, 0.0004) for several concepts and (0.001, 0.002) for one sentence of several. With the
+                default bundle nothing up to (0.01, 0.01) is told from chance, and (0.1, 0.1) spoils it. None is off.
             seconds, seed, steps, guidance, space, foot_fix, constraints, constraint_weight, constraint_fix, strict,
                 timeout, on_step, on_level: as in `generate`; negated concepts count for `strict`, too.
 
@@ -874,7 +873,7 @@ class MotionPipeline:
         whole = self._encode_part(graph, options, own_length=own_length, is_known=is_known)
         graphs = [graph]
         if in_order:
-            graphs = split_in_order(graph, whole.options, self.manifest, is_timed=whole.is_timed)
+            graphs = split_in_order(graph, whole.options, self.manifest)
         if len(graphs) == 1:
             return _EncodedSentence(graph, (whole,))
         parts = [self._encode_part(part, options, own_length=True, is_known=is_known) for part in graphs]
