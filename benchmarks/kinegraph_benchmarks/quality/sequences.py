@@ -274,15 +274,18 @@ def markdown_table(result: Mapping[str, Any]) -> str:
         "",
     ]
     lines += ["| | measured | goal | met |", "|---|---|---|---|"]
-    for what, value, goal, met in (
-        ("parts, rate in sequence of rate alone", total["all"]["ratio"], KEPT, "parts"),
-        ("length of a part, worst error, s", total["length_error_s"], LENGTH_TOLERANCE, "lengths"),
-        ("whole length, worst error, s", total["total_error_s"], LENGTH_TOLERANCE, "lengths"),
-        ("joins with acceleration within captured 95 %", total["acceleration_within"], QUANTILE, "joins"),
-        ("joins with velocity within captured 95 %", total["velocity_within"], QUANTILE, "joins"),
-        ("joins with jerk within captured 95 %", total["jerk_within"], QUANTILE, "joins"),
+    for what, value, goal, is_met in (
+        ("parts, rate in sequence of rate alone", total["all"]["ratio"], KEPT, total["met"]["parts"]),
+        *(
+            (f"{length}, worst error, s", total[key], LENGTH_TOLERANCE, total[key] <= LENGTH_TOLERANCE)
+            for length, key in (("length of a part", "length_error_s"), ("whole length", "total_error_s"))
+        ),
+        *(
+            (f"joins with {name} within captured 95 %", total[key], QUANTILE, total[key] >= QUANTILE)
+            for name, key in ((name, f"{name}_within") for name in ("acceleration", "velocity", "jerk"))
+        ),
     ):
-        lines.append(f"| {what} | {value:.3f} | {goal} | {'yes' if total['met'][met] else 'no'} |")
+        lines.append(f"| {what} | {value:.3f} | {goal} | {'yes' if is_met else 'no'} |")
 
     def triple(values: Sequence[float]) -> str:
         return " / ".join(f"{value:.2f}" for value in values)
