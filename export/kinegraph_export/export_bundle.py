@@ -99,6 +99,8 @@ class BundleCard:
     guidance_base: Literal["empty", "coarse"]
     seconds: float
     quality: dict[str, float]
+    spacing: Literal["leading", "trailing"] = "leading"
+    """Of the diffusion steps, see `kinegraph.diffusion.sampling.NoiseSchedule`."""
 
     @staticmethod
     def read(path: Path) -> BundleCard:
@@ -172,7 +174,7 @@ def build_manifest(
         ),
         text=TextSpec(config.text_width, END, CLIP_PIECES) if is_clip else TextSpec(config.text_width, "[MASK]"),
         levels=level_specs(trained),
-        schedule=ScheduleSpec(config.train_steps, 8.5e-4, 0.012, 1, "leading", "epsilon"),
+        schedule=ScheduleSpec(config.train_steps, 8.5e-4, 0.012, 1, card.spacing, "epsilon"),
         defaults=Defaults(card.steps, card.guidance, card.guidance_base, card.seconds),
         roles=ROLES,
         precision=precision,
@@ -236,10 +238,9 @@ def pipeline_difference(folder: Path, trained: TrainedModels, specific: TrainedV
         latents = pipe.sampler.sample(pipe.encoder.attend(features), None, [options])
         clip = pipe.decoder.decode(latents, [options], [prompt])[0]
         plans = [LevelPlan(name, spec.tokens, spec.latent_width, 1) for name, spec in pipe.manifest.levels.items()]
-        sampling = pipe.manifest.defaults
-        request = SamplingRequest(
-            clip.frames, initial_noise(seed, plans), sampling.steps, sampling.guidance, sampling.guidance_base
-        )
+        sampling, noise = pipe.manifest.defaults, initial_noise(seed, plans)
+        how = {"guidance_base": sampling.guidance_base, "spacing": pipe.manifest.schedule.spacing}
+        request = SamplingRequest(clip.frames, noise, sampling.steps, sampling.guidance, **how)
         expected = torch_joints(trained, features[0], request, specific.mean, specific.std)
         expected = enforce_bone_lengths(expected, bones)
         distances.append(np.linalg.norm(clip.joints - expected, axis=-1).mean() * 1000.0)

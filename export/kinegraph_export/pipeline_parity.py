@@ -35,6 +35,15 @@ class SamplingRequest:
     """"empty" or "coarse", as in `kinegraph.bundle.manifest.Defaults`."""
     agd: tuple[float, float] | None = None
     """Step sizes gamma_attn and gamma_reg (EnergyMoGen, Eq. 3, 4) for the text."""
+    spacing: str = "leading"
+    """Of the steps: "leading" or "trailing", as in `kinegraph.bundle.manifest.ScheduleSpec`."""
+
+    def times(self, level: str) -> list[int]:
+        """List the timesteps of a level, the noisiest first."""
+        count = self.steps[level]
+        if self.spacing == "trailing":
+            return [round(1000 - index * 1000 / count) - 1 for index in range(count)]
+        return [index * (1000 // count) + 1 for index in reversed(range(count))]
 
 
 def alpha_bar(train_steps: int = 1000, beta_end: float = 0.012) -> Tensor:
@@ -110,8 +119,7 @@ def sample_level(
     conditions = level_conditions(denoiser, graph, nodes, config.kinds_seen(level), coarse, empty=empty)
     latent = torch.from_numpy(request.noise[config.levels.index(level)])[None]
     alphas, stride = alpha_bar(), 1000 // request.steps[level]
-    for index in reversed(range(request.steps[level])):
-        time = index * stride + 1
+    for time in request.times(level):
         clock = denoiser.clock(torch.tensor([time]), torch.tensor([request.frames]))
         noise = {}
         for name, condition in conditions.items():

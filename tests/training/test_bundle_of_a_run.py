@@ -184,12 +184,15 @@ def test_a_run_recovered_from_a_bundle_gives_the_same_bundle(
     bundle: Path, encoders: Path, traces: Traces, tmp_path: Path
 ) -> None:
     recover(bundle, "tiny", encoders, tmp_path / "run")
-    # The exporter itself must give the same bytes twice; and with the other base of guidance, so that the whole
-    # pipeline is held against torch for both.
+    # The exporter itself must give the same bytes twice; and with the other base of guidance and the other spacing of
+    # steps, so that the whole pipeline is held against torch for both.
     pending = traces.anew(*ONE_OF_A_KIND)
-    export_bundle(tmp_path / "run", ASSETS, replace(CARD, guidance_base="empty"), tmp_path / "again", "fp32")
+    export_bundle(
+        tmp_path / "run", ASSETS, replace(CARD, guidance_base="empty", spacing="trailing"), tmp_path / "again", "fp32"
+    )
     assert pending == set()
     first, again = (json.loads((folder / "manifest.json").read_bytes()) for folder in (bundle, tmp_path / "again"))
+    assert [made["schedule"]["spacing"] for made in (first, again)] == ["leading", "trailing"]
     # Encoders are kept in float16, so the one of the recovered run is rounded.
     encoders_of = [made["files"].pop("encoder.onnx")["bytes"] for made in (first, again)]
     assert encoders_of[0] == encoders_of[1] and first["files"] == again["files"]
