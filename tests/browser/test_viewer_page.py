@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import pytest
 
@@ -11,6 +12,9 @@ from kinegraph.formats.html import clips_page as page_of
 from support.browsing import Open, changed, picture_at, time_of, wait_until
 from support.cli_runs import whole
 from support.motions import walk
+
+if TYPE_CHECKING:
+    from playwright.sync_api import Page
 
 HOSTILE = "</script><img src=x onerror=alert(1)> \u2028 走る"
 
@@ -24,6 +28,13 @@ def one(tmp_path_factory: pytest.TempPathFactory) -> str:
     file = tmp_path_factory.mktemp("page") / "one.html"
     file.write_bytes(page_of([clip()]))
     return file.as_uri()
+
+
+def stands_still(page: Page) -> bool:
+    """Tell whether no other frame is drawn for 0.3 s; on a busy machine one may come late."""
+    before = time_of(page)
+    page.wait_for_timeout(300)
+    return time_of(page) == before
 
 
 def test_the_body_is_drawn_and_moves_with_time(open_page: Open, one: str) -> None:
@@ -40,10 +51,9 @@ def test_it_plays_pauses_and_slows_down(open_page: Open, one: str) -> None:
     page.get_by_role("button", name="Play").click()
     wait_until(page, lambda: time_of(page) > 0.3)
     page.get_by_role("button", name="Pause").click()
-    page.wait_for_timeout(200)
+    wait_until(page, lambda: stands_still(page))
     stopped = time_of(page)
-    page.wait_for_timeout(300)
-    assert time_of(page) == stopped
+    assert stopped < 2.5  # of 2.95 s: it was paused, and did not end
     page.get_by_label("Speed").select_option("0.25")
     page.get_by_role("button", name="Play").click()
     page.wait_for_timeout(800)
