@@ -238,9 +238,15 @@ def pipeline_difference(folder: Path, trained: TrainedModels, specific: TrainedV
         latents = pipe.sampler.sample(pipe.encoder.attend(features), None, [options])
         clip = pipe.decoder.decode(latents, [options], [prompt])[0]
         plans = [LevelPlan(name, spec.tokens, spec.latent_width, 1) for name, spec in pipe.manifest.levels.items()]
-        sampling, noise = pipe.manifest.defaults, initial_noise(seed, plans)
-        how = {"guidance_base": sampling.guidance_base, "spacing": pipe.manifest.schedule.spacing}
-        request = SamplingRequest(clip.frames, noise, sampling.steps, sampling.guidance, **how)
+        sampling = pipe.manifest.defaults
+        request = SamplingRequest(
+            clip.frames,
+            initial_noise(seed, plans),
+            sampling.steps,
+            sampling.guidance,
+            sampling.guidance_base,
+            spacing=pipe.manifest.schedule.spacing,
+        )
         expected = torch_joints(trained, features[0], request, specific.mean, specific.std)
         expected = enforce_bone_lengths(expected, bones)
         distances.append(np.linalg.norm(clip.joints - expected, axis=-1).mean() * 1000.0)

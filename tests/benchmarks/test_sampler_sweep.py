@@ -14,7 +14,7 @@ from kinegraph_benchmarks.quality.everyday import Prompt
 
 def test_every_setting_asks_for_something_else() -> None:
     asked = {(tuple(changes.items()), tuple(options.items())) for changes, options in sweep.settings().values()}
-    assert len(asked) == len(sweep.settings()) == 1 + 2 * len(sweep.STEPS) + 2 * len(sweep.GUIDANCE)
+    assert len(asked) == len(sweep.settings()) == 1 + 10 * 2 + 7 * 2
 
 
 def test_bundles_share_what_is_loaded(toy: MotionPipeline) -> None:

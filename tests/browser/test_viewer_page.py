@@ -55,6 +55,8 @@ def test_it_plays_pauses_and_slows_down(open_page: Open, tmp_path: Path) -> None
     page.get_by_role("button", name="Pause").click()
     wait_until(page, lambda: stands_still(page))
     stopped = time_of(page)
+    page.wait_for_timeout(300)
+    assert time_of(page) == stopped
     assert stopped < 25  # of 30 s: it was paused, and did not end
     page.get_by_label("Speed").select_option("0.25")
     page.get_by_role("button", name="Play").click()

@@ -165,8 +165,7 @@ class _Finder:
     # Words
 
     def _is_known(self, index: int) -> bool:
-        word = self._words[index].text
-        following = self._words[index + 1].text if index + 1 < len(self._words) else ""
+        word, following = self._words[index].text, self._following(index)
         if self._ends_an_action(index) or word + following in lexicon.ROTATIONS:
             return True
         if word in ("couple", "pair") and following == "of":
@@ -175,8 +174,11 @@ class _Finder:
 
     def _ends_an_action(self, index: int) -> bool:
         """Tell whether a word is a verb that negates the participle after it ("| stops | waving")."""
-        following = self._words[index + 1].text if index + 1 < len(self._words) else ""
-        return self._words[index].text in STOPS and following.endswith("ing")
+        return self._words[index].text in STOPS and self._following(index).endswith("ing")
+
+    def _following(self, index: int) -> str:
+        """Return the word after an index, or nothing at the end."""
+        return self._words[index + 1].text if index + 1 < len(self._words) else ""
 
     def _is_shown(self, word: str) -> bool:
         """Tell whether a word, or a part of a hyphenated one, is in a caption of training or names no motion."""
@@ -189,7 +191,7 @@ class _Finder:
         text = word.text
         if len(text) < _MIN_CORRECTED or not text.isascii() or not text.isalpha() or self._is_shown(text):
             return word
-        if text in PERSON_PLURALS | STOPS or any(map(self._encoder.is_word, base_forms(text))):
+        if text in PERSON_PLURALS or text in STOPS or any(map(self._encoder.is_word, base_forms(text))):
             return word
         for edit in edits_of(text):
             is_long = len(edit) >= _MIN_CORRECTED
