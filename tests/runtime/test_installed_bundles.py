@@ -98,8 +98,11 @@ def test_only_files_that_read_text_are_shared(installed: Path) -> None:
 def test_a_bundle_anywhere_else_shares_nothing(installed: Path, tmp_path: Path) -> None:
     for name in ("studio", "shared"):
         shutil.copytree(installed / name, tmp_path / "elsewhere" / name)
-    with pytest.raises(BundleIntegrityError, match=r"is missing"):
+    with pytest.raises(BundleIntegrityError, match=r"is missing .* copy what lies in 'shared' beside the original too"):
         read_bundle(tmp_path / "elsewhere" / "studio")
+    (installed / "studio" / "decoder.onnx").unlink()
+    with pytest.raises(BundleIntegrityError, match=r"decoder\.onnx is missing .*; fetch the bundle again$"):
+        read_bundle("studio")
 
 
 def test_a_file_of_its_own_goes_before_a_shared_one(installed: Path) -> None:

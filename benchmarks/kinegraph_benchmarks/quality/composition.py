@@ -269,8 +269,8 @@ def main() -> None:
     parser.add_argument("--threads", type=int, default=1, help="threads of a model (1)")
     options = parser.parse_args()
     result: dict[str, Any] = {"seeds": options.seeds, "bundles": {}}
-    for bundle in options.bundles:
-        pipe = MotionPipeline.load(bundle, threads=options.threads)
+    # All before the first is measured: a bundle that cannot be read is told at once.
+    for pipe in [MotionPipeline.load(bundle, threads=options.threads) for bundle in options.bundles]:
         plain = bundle_name(pipe, tuple(result["bundles"]))
         for space in options.spaces:
             name = plain if space == LATENT else f"{plain}, {space}"

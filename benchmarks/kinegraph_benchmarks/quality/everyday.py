@@ -149,8 +149,8 @@ def main() -> None:
     judge = read_judge(options.judge) if options.judge else None
     prompts = {path.name: read_prompts(path) for path in options.prompts}
     result: dict[str, Any] = {"seeds": options.seeds, "bundles": [], "files": {name: {} for name in prompts}}
-    for bundle in options.bundles:
-        pipe = MotionPipeline.load(bundle, threads=options.threads)
+    # All before the first is measured: a bundle that cannot be read is told at once.
+    for pipe in [MotionPipeline.load(bundle, threads=options.threads) for bundle in options.bundles]:
         plain = bundle_name(pipe, result["bundles"])
         for space in options.spaces:
             name = plain if space == LATENT else f"{plain}, {space}"

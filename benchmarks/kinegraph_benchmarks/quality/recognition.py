@@ -376,13 +376,14 @@ def main() -> None:
     parser.add_argument("--takes", type=int, default=6, help="takes of one caption, for the spread (6)")
     options = parser.parse_args()
     captured, evaluator = read_captured(options.data), Evaluator(options.evaluator)
+    # All before the first is measured: a bundle that cannot be read is told at once.
+    models = {bundle: BundleModel(bundle) for bundle in options.bundles}
     judge = train_classifier(captured)
     result: dict[str, Any] = {
         "evaluator": evaluator.version, "repeats": options.repeats, "held_out": len(captured.held_out), "bundles": {},
         "autoencoder": measure_autoencoder(options.run, captured, judge) if options.run else None,
     }  # fmt: skip
-    for bundle in options.bundles:
-        model = BundleModel(bundle)
+    for bundle, model in models.items():
         name = model.name if model.name not in result["bundles"] else f"{model.name} ({bundle})"
         result["bundles"][name] = measure_model(
             model, captured, judge, evaluator, options.work, options.repeats, options.takes

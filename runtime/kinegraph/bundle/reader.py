@@ -181,7 +181,11 @@ def _check_listing(folder: Path, manifest: Manifest) -> frozenset[str]:
     listed = {MANIFEST, *manifest.files}
     shared = _shared_names(folder) & (listed - present)
     for name in sorted(listed - present - shared):
-        raise BundleIntegrityError(f"{name} is missing from the bundle {str(folder)!r}; fetch the bundle again")
+        # Text files of an installed bundle stay behind where its folder is copied.
+        copied = (
+            f" (of a copied one, copy what lies in {SHARED!r} beside the original too)" if name in SHARED_FILES else ""
+        )
+        raise BundleIntegrityError(f"{name} is missing from the bundle {str(folder)!r}; fetch the bundle again{copied}")
     for name in sorted(present - listed):
         raise BundleIntegrityError(f"{name!r} in the bundle {str(folder)!r} is not listed in its {MANIFEST}; remove it")
     return shared
