@@ -267,6 +267,31 @@ def batch_difference(folder: Path) -> float:
     return float(np.mean(distances)) * 1000.0
 
 
+def pipeline_parity(
+    folder: Path, trained: TrainedModels, specific: TrainedVae, tables: dict[str, FloatArray], precision: Precision
+) -> dict[str, float]:
+    """Compare whole clips of a bundle with torch, and clips of a batch with single ones; returns both, mm.
+
+    Args:
+        folder: of the bundle.
+        trained: the models that it was exported from.
+        specific: the specific autoencoder with the statistics of its features.
+        tables: the statistics that the run took of its data.
+        precision: of the denoisers.
+
+    Raises:
+        ParityError: one is larger than `MAX_PIPELINE_MM`.
+    """
+    differences = {
+        "pipeline_mm": pipeline_difference(folder, trained, specific, bones_of(tables)),
+        "batch_mm": batch_difference(folder),
+    }
+    for name, distance in differences.items():
+        if not distance <= MAX_PIPELINE_MM[precision]:
+            raise ParityError(f"{name} is {distance:.3f}, more than {MAX_PIPELINE_MM[precision]}")
+    return differences
+
+
 def export_bundle(run: Path, assets: Path, card: BundleCard, out: Path, precision: Precision = "int8") -> Manifest:
     """Export a run, validate the bundle, and put it in place; a bundle that was there before is replaced.
 
@@ -294,13 +319,7 @@ def export_bundle(run: Path, assets: Path, card: BundleCard, out: Path, precisio
     with tempfile.TemporaryDirectory() as folder:
         staged = Path(folder) / "bundle"
         write_bundle(staged, draft, files)
-        differences = {
-            "pipeline_mm": pipeline_difference(staged, trained, specific, bones_of(tables)),
-            "batch_mm": batch_difference(staged),
-        }
-        for name, distance in differences.items():
-            if not distance <= MAX_PIPELINE_MM[precision]:
-                raise ParityError(f"{name} is {distance:.3f}, more than {MAX_PIPELINE_MM[precision]}")
+        differences = pipeline_parity(staged, trained, specific, tables, precision)
         manifest = dataclasses.replace(draft, parity={**parity, **differences})
         (staged / "manifest.json").write_bytes(encode_manifest(manifest))
         shutil.rmtree(out, ignore_errors=True)

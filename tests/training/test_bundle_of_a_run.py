@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -25,6 +26,7 @@ from kinegraph.diffusion.sampling import LevelPlan, initial_noise
 from kinegraph.edits import with_weight, without
 from kinegraph.errors import BundleError, InvalidInputError
 from kinegraph.motion.postprocess import enforce_bone_lengths
+from kinegraph_export.apply_card import apply_card
 from kinegraph_export.checkpoints import read_run
 from kinegraph_export.export_bundle import BundleCard, export_bundle
 from kinegraph_export.pipeline_parity import SamplingRequest, torch_joints
@@ -196,6 +198,25 @@ def test_a_run_recovered_from_a_bundle_gives_the_same_bundle(
     # Encoders are kept in float16, so the one of the recovered run is rounded.
     encoders_of = [made["files"].pop("encoder.onnx")["bytes"] for made in (first, again)]
     assert encoders_of[0] == encoders_of[1] and first["files"] == again["files"]
+
+
+def test_a_bundle_takes_the_words_and_the_sampling_of_another_card(trained: Path, bundle: Path, tmp_path: Path) -> None:
+    folder = shutil.copytree(bundle, tmp_path / "bundle")
+    before = MotionPipeline.load(folder, threads=1).generate("a person walks", seconds=2, seed=1).joints
+    steps = {"motion": 3, "action": 3, "specific": 2}
+    card = replace(CARD, version="2", scope={"actions": "none"}, steps=steps, spacing="trailing")
+    parity = apply_card(folder, trained / "run", card)
+    made, was = (json.loads((at / "manifest.json").read_bytes()) for at in (folder, bundle))
+    assert (made["version"], made["scope"], made["defaults"]["steps"]) == ("2", {"actions": "none"}, steps)
+    assert made["schedule"] == {**was["schedule"], "spacing": "trailing"} and made["files"] == was["files"]
+    assert parity["pipeline_mm"] <= 1.0 and made["parity"] == {**was["parity"], **parity}
+    pipe = MotionPipeline.load(folder, threads=1)
+    after = pipe.generate("a person walks", seconds=2, seed=1).joints
+    assert np.abs(after - before).max() > 1e-3
+    sealed = (folder / "manifest.json").read_bytes()
+    with pytest.raises(BundleError, match="steps"):
+        apply_card(folder, trained / "run", replace(card, steps={**steps, "motion": 0}))
+    assert (folder / "manifest.json").read_bytes() == sealed
 
 
 def test_of_a_bundle_without_coarse_decoders_the_data_tell_how_latents_were_standardised(
