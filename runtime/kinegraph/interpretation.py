@@ -4,6 +4,7 @@
     in_third_person(graph)     "walk forward, then bow"       ->  "a person walks forward, then bows"
     split_negations(graph)     "a man walks without waving"   ->  "a man walks" and, negated, "a man waves"
     known_wording(graph)       "a person turns clockwise"     ->  "a person turns right"
+    known_subject(graph, has)  "he waves", "a robot waves"    ->  "a person waves"
     without_quantity(graph, q) "a man walks for two seconds"  ->  "a man walks"
 
 The graph of a clip stays what the user wrote. These functions make the graphs that are encoded in its place: captions
@@ -14,7 +15,7 @@ nothing but `InvalidGraphError`.
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from itertools import pairwise
 from typing import Final
@@ -22,12 +23,19 @@ from typing import Final
 from kinegraph.errors import InvalidGraphError
 from kinegraph.graph import Action, Argument, SemanticGraph
 from kinegraph.text import lexicon
-from kinegraph.text.narration import name_subject, subject_items, subject_of, verb_items
+from kinegraph.text.narration import SUBJECT, name_subject, subject_items, subject_of, verb_items
 from kinegraph.text.pieces import CONNECTIVES, NEGATING, Item, Pieces, unique, write
 from kinegraph.text.quantities import Quantity
 from kinegraph.text.sequences import in_third_person, split_sequence
 
-__all__ = ["in_third_person", "known_wording", "split_negations", "split_sequence", "without_quantity"]
+__all__ = [
+    "in_third_person",
+    "known_subject",
+    "known_wording",
+    "split_negations",
+    "split_sequence",
+    "without_quantity",
+]
 
 # Negations
 
@@ -258,6 +266,41 @@ def _add_direction(graph: SemanticGraph, start: int, end: int) -> SemanticGraph:
     actions = list(graph.actions)
     actions[owner] = replace(actions[owner], arguments=(*actions[owner].arguments, direction))
     return SemanticGraph(graph.caption, tuple(actions))
+
+
+def known_subject(graph: SemanticGraph, is_shown: Callable[[str], bool]) -> SemanticGraph:
+    """Call who moves a person where the caption has a pronoun for them, or a noun that training never had.
+
+    What they do is met more often then: few captions of training have a pronoun, and a noun that none has sways the
+    text encoder ("the gardener lifts a stone"). Adjectives stay: "a tired robot" becomes "a tired person". Only who is
+    named first is renamed: "he walks where he stood" becomes "a person walks where he stood".
+
+    Args:
+        graph: in the third person.
+        is_shown: tells whether a caption of training has a word, in lower case.
+
+    Raises:
+        InvalidGraphError: the caption becomes longer than allowed.
+    """
+    subjects = [subject for action in graph.actions if (subject := subject_of(graph, action)) is not None]
+    if not subjects:
+        return graph
+    pieces = Pieces(graph)
+    first = min(subjects, key=lambda subject: subject.start)
+    own = [index for index in pieces.of(first) if pieces.pieces[index].is_word]
+    words = [pieces.word(index) for index in own]
+    if words in (["he"], ["she"]):
+        replaced = {own[0]: SUBJECT}
+    elif len(words) > 1 and words[0] in _ARTICLES and not is_shown(words[-1]):
+        replaced = {own[-1]: _PERSON} | ({own[0]: "a"} if words[:-1] == ["an"] else {})
+    else:
+        return graph
+    items = [Item(replaced.get(index, piece.text), index) for index, piece in enumerate(pieces.pieces)]
+    return write(pieces, graph.actions, items)
+
+
+_ARTICLES: Final = frozenset("a an the".split())
+_PERSON: Final = SUBJECT.split()[-1]
 
 
 def without_quantity(graph: SemanticGraph, quantity: Quantity) -> SemanticGraph:

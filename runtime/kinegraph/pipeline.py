@@ -854,7 +854,7 @@ class MotionPipeline:
 
         The length of what is not known is a guess, and at most the default length.
         """
-        request = interpret(graph, self.manifest, None if own_length else options.seconds)
+        request = interpret(graph, self.manifest, self.vocabulary, None if own_length else options.seconds)
         if request.wanted == STANDING and self.find_unknown(STANDING):
             request = replace(request, negated=(), notes=(*request.notes, NEVER_STOOD))
         if request.seconds is not None:

@@ -15,11 +15,13 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 from kinegraph.bundle.manifest import Manifest
+from kinegraph.bundle.vocabulary import Vocabulary
 from kinegraph.concepts import SamplingPlan
 from kinegraph.errors import InvalidGraphError
 from kinegraph.graph import Action, Argument, SemanticGraph
 from kinegraph.interpretation import (
     in_third_person,
+    known_subject,
     known_wording,
     split_negations,
     split_sequence,
@@ -28,6 +30,7 @@ from kinegraph.interpretation import (
 from kinegraph.options import GenerateOptions
 from kinegraph.text.lexicon import WORDINGS
 from kinegraph.text.quantities import Quantity, read_quantities
+from kinegraph.text.vocabulary import is_shown
 
 STANDING: Final = SemanticGraph(
     "a person stands still",
@@ -66,12 +69,15 @@ class Request:
         return SamplingPlan.for_graph(self.wanted, self.negated)
 
 
-def interpret(graph: SemanticGraph, manifest: Manifest, seconds: float | None = None) -> Request:
+def interpret(
+    graph: SemanticGraph, manifest: Manifest, vocabulary: Vocabulary | None = None, seconds: float | None = None
+) -> Request:
     """Read a graph.
 
     Args:
         graph: of a sentence.
         manifest: of the bundle, whose limits hold.
+        vocabulary: of the bundle; without one all words count as known.
         seconds: length that the caller gave, which goes before that of the sentence.
 
     Raises:
@@ -99,8 +105,8 @@ def interpret(graph: SemanticGraph, manifest: Manifest, seconds: float | None = 
     spoken = min(sum(lengths.values()), manifest.seconds_limits[1]) if lengths else None
     return Request(
         graph,
-        _as_trained(positive),
-        tuple(map(_as_trained, negated)),
+        _as_trained(positive, vocabulary),
+        tuple(_as_trained(part, vocabulary) for part in negated),
         spoken if seconds is None else None,
         bool(lengths),
         tuple(notes),
@@ -121,7 +127,7 @@ def _spoken_seconds(quantity: Quantity, manifest: Manifest) -> tuple[float | Non
     return made, f"{quantity.text!r}: a clip has {shortest:g} to {longest:g} seconds, this one {made:g}; {how}"
 
 
-def _as_trained(graph: SemanticGraph) -> SemanticGraph:
+def _as_trained(graph: SemanticGraph, vocabulary: Vocabulary | None) -> SemanticGraph:
     """Tell a graph as captions of training are told: in the third person, in words that they have.
 
     A graph that has no room left for the words stays as it is.
@@ -132,6 +138,8 @@ def _as_trained(graph: SemanticGraph) -> SemanticGraph:
     with suppress(InvalidGraphError):
         if _WORDINGS.search(graph.caption):
             graph = known_wording(graph)
+    with suppress(InvalidGraphError):
+        graph = known_subject(graph, lambda word: vocabulary is None or is_shown(word, vocabulary))
     return graph
 
 

@@ -17,6 +17,7 @@ from kinegraph.errors import InvalidGraphError
 from kinegraph.graph import ARGUMENT_ROLES, Action, Argument, SemanticGraph
 from kinegraph.interpretation import (
     in_third_person,
+    known_subject,
     known_wording,
     split_negations,
     split_sequence,
@@ -238,6 +239,33 @@ def test_a_side_in_place_of_a_rotation_is_a_direction(parser: GraphParser) -> No
 
 
 @pytest.mark.parametrize(
+    ("caption", "known"),
+    [
+        ("he waves", "a person waves"),
+        ("at the corner she turns right", "at the corner a person turns right"),
+        ("he walks where he stood", "a person walks where he stood"),
+        ("the robot waves the right hand", "the person waves the right hand"),
+        ("an exhausted robot walks, then it bows", "an exhausted person walks, then it bows"),
+        ("an ogre walks slowly", "a person walks slowly"),
+        ("a man walks and he waves", "a man walks and he waves"),
+        ("the old woman walks", "the old woman walks"),
+        ("the left hand waves", "the left hand waves"),
+        ("walk to the robot", "walk to the robot"),
+        ("a person walks to the robot", "a person walks to the robot"),
+    ],
+)
+def test_who_is_unknown_is_a_person(parser: GraphParser, caption: str, known: str) -> None:
+    graph = parser.parse(caption)
+    told = known_subject(graph, lambda word: word not in ("robot", "ogre"))
+    assert told.caption == known
+    roles, before = (
+        [[argument.role for argument in action.arguments] for action in made.actions] for made in (told, graph)
+    )
+    assert roles == before
+    assert all(told.caption[node.start : node.end] == node.text for node in told.nodes)
+
+
+@pytest.mark.parametrize(
     ("caption", "rest"),
     [
         ("a man limps for four seconds", "a man limps"),
@@ -276,6 +304,7 @@ def rewritings(graph: SemanticGraph) -> Iterator[SemanticGraph]:
             yield wanted
     yield in_third_person(graph)
     yield known_wording(graph)
+    yield known_subject(graph, lambda word: False)
     for quantity in read_quantities(graph):
         if quantity.unit == "seconds":
             yield without_quantity(graph, quantity)

@@ -56,6 +56,13 @@ def test_the_length_that_the_caller_gives_goes_first(toy: MotionPipeline) -> Non
     np.testing.assert_array_equal(spoken.joints, plain.joints)  # the model is not told of seconds
 
 
+def test_who_is_unknown_is_a_person_to_the_model_alone(toy: MotionPipeline) -> None:
+    for sentence in ("he walks forward", "she walks forward"):
+        clip = toy.generate(sentence, seconds=2, **FEW)
+        assert clip.text == sentence and clip.graph is not None and clip.graph.caption == sentence
+        np.testing.assert_array_equal(clip.joints, toy.generate("a person walks forward", seconds=2, **FEW).joints)
+
+
 def test_a_negated_action_is_a_concept_of_negative_weight(toy: MotionPipeline, manifest: Manifest) -> None:
     request = interpret(toy.parse("a person walks forward without waving the hands"), manifest)
     assert request.wanted.caption == "a person walks forward"

@@ -103,6 +103,13 @@ def find_unknown(graph: SemanticGraph, vocabulary: Vocabulary, encoder: PhraseEn
     return _Finder(graph, vocabulary, encoder).find()
 
 
+def is_shown(word: str, vocabulary: Vocabulary) -> bool:
+    """Tell whether a lower-case word is in a caption of training, in any inflection, or names no motion."""
+    return not FUNCTION.isdisjoint((word, word.replace("-", ""), CONTRACTION.sub("", word))) or (
+        stem(word) in vocabulary.words
+    )
+
+
 def find_seldom(graph: SemanticGraph, vocabulary: Vocabulary) -> tuple[str, ...]:
     """Tell which actions of a graph are recognised in fewer than `SELDOM` of the clips that the bundle makes of them.
 
@@ -181,10 +188,7 @@ class _Finder:
         return self._words[index + 1].text if index + 1 < len(self._words) else ""
 
     def _is_shown(self, word: str) -> bool:
-        """Tell whether a word, or a part of a hyphenated one, is in a caption of training or names no motion."""
-        return not FUNCTION.isdisjoint((word, word.replace("-", ""), CONTRACTION.sub("", word))) or (
-            stem(word) in self._vocabulary.words
-        )
+        return is_shown(word, self._vocabulary)
 
     def _corrected(self, word: Word) -> Word:
         """Replace a word that is no English word by a known one that is one slip of spelling away, if there is one."""
