@@ -23,7 +23,7 @@ import numpy as np
 
 from kinegraph.arrays import FloatArray
 from kinegraph.bundle.manifest import decode_manifest
-from kinegraph.bundle.reader import MANIFEST, text_files_folder
+from kinegraph.bundle.reader import MANIFEST, read_bundle, text_files_folder
 from kinegraph.bundle.vocabulary import (
     ACTION_SENTENCE,
     FILE,
@@ -274,6 +274,7 @@ def main(argv: list[str] | None = None) -> None:
     options = parser.parse_args(argv)
     if not options.data and not options.recognition:
         parser.error("--data, --recognition or both are needed")
+    read_bundle(options.bundle)
     if options.data:
         shown = [clip for folder in options.data for clip in read_data_captions(folder)]
         data = build_vocabulary(shown, CaptionEncoder(text_files_of(options.bundle)))
