@@ -27,8 +27,8 @@ kinegraph generate "a person walks and turns right" --seconds 4 --seed 6 -o grap
 "$python" actions.py
 # docs/composition.md
 kinegraph compose --and "a person walks forward" --and "a person raises both hands" --seconds 4 --seed 2 -o compose_walk.png
-kinegraph compose --and "a person walks and turns left" --and "a person waves both hands" --seconds 4 --seed 6 -o compose_turn.png
-kinegraph compose --and "a person walks and turns left while a person waves both hands" --not "a person waves both hands" --seconds 4 --seed 6 -o compose_not.png
+kinegraph compose --and "a person walks and turns left" --and "a person waves both hands" --seconds 4 --seed 2 -o compose_turn.png
+kinegraph compose --and "a person walks and turns left while a person waves both hands" --not "a person waves both hands" --seconds 4 --seed 2 -o compose_not.png
 # of this clip only the energies are kept
 kinegraph compose --and "a person walks forward" --and "a person waves the right hand" --seconds 4 --seed 4 -o composed.npz --energy energy.png
 rm composed.npz

@@ -57,7 +57,7 @@ from kinegraph.options import (
     with_margins,
     with_seconds,
 )
-from kinegraph.request import NEVER_STOOD, STANDING, interpret, share_frames, split_in_order
+from kinegraph.request import AT_ONCE, NEVER_STOOD, STANDING, interpret, share_frames, split_in_order
 from kinegraph.slot_conditioning import SlotEncoder
 from kinegraph.text.parser import LazyParser, check_caption
 from kinegraph.text.tokenizer import CaptionTokenizer
@@ -396,7 +396,7 @@ class MotionPipeline:
             shared_run: let up to 32 clips share the runs of the models: faster. Sums of a larger run are rounded in
                 another order, so a clip then equals that of `generate` to 0.1 mm in an fp32 bundle only; in an int8
                 bundle one scale spans a run, and clips differ by `batch_mm` of the manifest's parity on average.
-                Graphs must have no weighted edges and no negated actions; actions in order are sampled at once.
+                Graphs must have no weighted edges and no negated actions.
             on_step: as in `generate`; its `done` and `total` are those of all clips.
 
         Raises:
@@ -415,9 +415,7 @@ class MotionPipeline:
         graphs = [self.as_graph(text) for text in deadline.each(texts)]
         unknown = self._unknown_of_each(graphs, strict)
         sentences = [
-            self._encode_sentence(
-                graph, option, own_length=length is None, is_known=not words, in_order=not shared_run and wanted is None
-            )
+            self._encode_sentence(graph, option, own_length=length is None, is_known=not words, in_order=wanted is None)
             for graph, option, length, words in deadline.each(zip(graphs, options, lengths, unknown, strict=True))
         ]
         if shared_run:
@@ -547,7 +545,7 @@ class MotionPipeline:
             method: "latent" adds predictions (Eq. 7, 8), "semantic" averages attention (Eq. 9), "fused" blends both
                 with the joint text (Eq. 10) and takes away what is negated (Eq. 8).
             text: the joint text of "fused"; None joins the positive concepts with "while".
-            lambdas: of "fused": shares of latent, semantic and joint text; default (0.2, 0.1, 0.7).
+            lambdas: of "fused": shares of latent, semantic and joint text; default (0.3, 0.3, 0.4).
             agd: step sizes (gamma_attn, gamma_reg) of adaptive gradient descent (Eq. 3, 4), each 0 to 1: EnergyMoGen
                 has (0.0004, 0.0004) for several concepts and (0.001, 0.002) for one sentence of several. With the
                 default bundle nothing up to (0.01, 0.01) is told from chance, and (0.1, 0.1) spoils it. None is off.
@@ -871,9 +869,9 @@ class MotionPipeline:
     ) -> _EncodedSentence:
         """Interpret and encode a sentence, whole or in parts that follow one another."""
         whole = self._encode_part(graph, options, own_length=own_length, is_known=is_known)
-        graphs = [graph]
-        if in_order:
-            graphs = split_in_order(graph, whole.options, self.manifest)
+        graphs = split_in_order(graph, whole.options, self.manifest)
+        if len(graphs) > 1 and not in_order:
+            return _EncodedSentence(graph, (replace(whole, notes=(*whole.notes, AT_ONCE)),))
         if len(graphs) == 1:
             return _EncodedSentence(graph, (whole,))
         parts = [self._encode_part(part, options, own_length=True, is_known=is_known) for part in graphs]
@@ -911,16 +909,27 @@ class MotionPipeline:
 
         A memory gives back those that it has; `of_sentence` tells to which sentence each part belongs.
         """
-        clips, leads = [], []
-        for index, (part, seed) in enumerate(parts):
+        alone = [part for part, _ in parts]
+        leads, longer = self._with_margins(alone)
+        clips = []
+        for index, (sized, (_, seed)) in enumerate(zip(longer, parts, strict=True)):
+            make = partial(self._sample, sized, seed, subrange_progress(on_step, index, len(parts)))
+            clips.append(make() if memory is None else memory.part(of_sentence[index], _key(self, sized, seed), make))
+        return self._stitch(clips, leads, alone)
+
+    def _with_margins(self, parts: Sequence[_EncodedPart]) -> tuple[list[int], list[_EncodedPart]]:
+        """Make parts that follow one another longer by what their blends need; returns the frames before each, too."""
+        leads, longer = [], []
+        for index, part in enumerate(parts):
             before, after = blend_margins(self.manifest.fps, first=index == 0, last=index == len(parts) - 1)
             lead, options = with_margins(part.options, self.manifest, before, after)
-            sized, progress = part.with_options(options), subrange_progress(on_step, index, len(parts))
-            make = partial(self._sample, sized, seed, progress)
-            clips.append(make() if memory is None else memory.part(of_sentence[index], _key(self, sized, seed), make))
             leads.append(lead)
-        lengths = [part.options.frames for part, _ in parts]
-        foot_fix = parts[0][0].options.foot_fix
+            longer.append(part.with_options(options))
+        return leads, longer
+
+    def _stitch(self, clips: Sequence[Clip], leads: Sequence[int], parts: Sequence[_EncodedPart]) -> Clip:
+        """Join the clips of parts as `_with_margins` made them longer."""
+        lengths, foot_fix = [part.options.frames for part in parts], parts[0].options.foot_fix
         joints = stitch(
             [clip.joints for clip in clips], self.manifest.fps, leads=leads, lengths=lengths, foot_fix=foot_fix
         )
@@ -1033,22 +1042,39 @@ class MotionPipeline:
     def _make_together(
         self, sentences: Sequence[_EncodedSentence], seeds: Sequence[int], takes: int, on_step: OnStep | None
     ) -> list[Clip]:
-        """Make all clips of a batch in shared runs."""
-        parts = [part for sentence in sentences for part in sentence.parts]
+        """Make all clips of a batch in shared runs; parts of sentences take part as clips of their own."""
+        sized = [
+            self._with_margins(sentence.parts) if len(sentence.parts) > 1 else ([0], [*sentence.parts])
+            for sentence in sentences
+        ]
+        parts = [part for _, longer in sized for part in longer]
         if not all(part.plan.is_plain for part in parts):
             raise InvalidInputError(
                 "clips that share one run cannot weigh edges or negate actions; leave out shared_run"
             )
         conditions = repeat_rows(self.encoder.attend([array for part in parts for array in part.features]), takes)
+        own_seeds = [
+            seed if len(sentence.parts) == 1 else part_seed(seed, place)
+            for index, sentence in enumerate(sentences)
+            for place in range(len(sentence.parts))
+            for seed in seeds[index * takes : (index + 1) * takes]
+        ]
         sampled = [part for part in parts for _ in range(takes)]
-        options = [replace(part.options, seed=seed) for part, seed in zip(sampled, seeds, strict=True)]
+        options = [replace(part.options, seed=seed) for part, seed in zip(sampled, own_seeds, strict=True)]
         runs = [slice(first, first + MAX_SHARED) for first in range(0, len(sampled), MAX_SHARED)]
-        clips: list[Clip] = []
+        made: list[Clip] = []
         for index, run in enumerate(runs):
             progress = subrange_progress(on_step, index, len(runs))
             latents = self.sampler.sample(conditions.map(itemgetter(run)), None, options[run], progress)
-            clips += self.decoder.decode(latents, options[run], [part.graph.caption for part in sampled[run]])
-        return [replace(clip, graph=part.graph, notes=part.notes) for clip, part in zip(clips, sampled, strict=True)]
+            made += self.decoder.decode(latents, options[run], [part.graph.caption for part in sampled[run]])
+        clips: list[Clip] = []
+        for sentence, (leads, longer) in zip(sentences, sized, strict=True):
+            own, made = made[: len(longer) * takes], made[len(longer) * takes :]
+            for take in range(takes):
+                of_clip = own[take::takes]
+                clip = self._stitch(of_clip, leads, sentence.parts) if len(of_clip) > 1 else of_clip[0]
+                clips.append(replace(clip, text=sentence.graph.caption, graph=sentence.graph, notes=sentence.notes))
+        return clips
 
     def _make_timeline(
         self,

@@ -39,6 +39,11 @@ STANDING: Final = SemanticGraph(
 """What is wanted where a sentence only says what must not happen."""
 NEVER_STOOD: Final = "this bundle was never shown anybody who stands still; what comes nearest is made"
 """Note for such a sentence, where the bundle does not know how to stand."""
+AT_ONCE: Final = (
+    "the actions follow one another but are made at once here, as something is held: one of them may not happen; "
+    "`generate_timeline` makes them one by one, under constraints too"
+)
+"""Note for such a sentence with constraints, or in an edit."""
 SECONDS_PER_STEP: Final = 0.55
 """Length that one step of a walk takes."""
 _TOLD: Final = re.compile(r"(?:an?|the|one|some(?:one|body)|he|she|it|they)\b", re.IGNORECASE)
@@ -154,8 +159,8 @@ def _without(graph: SemanticGraph, quantity: Quantity) -> SemanticGraph:
 def split_in_order(graph: SemanticGraph, options: GenerateOptions, manifest: Manifest) -> list[SemanticGraph]:
     """Split a graph whose actions follow one another into parts to be made one by one.
 
-    Sampled at once, "walks forward, then bows" bows in none of ten clips of 8 s, and walks in none of 4 s; made of its
-    parts it does both in nine (`kinegraph_benchmarks.quality.wording`, studio 0.7.0).
+    Sampled at once, "walks forward, then bows" bows in none of ten clips of 8 s, and walks in none of 4 s (studio
+    0.7.0); made of its parts it does both in all (`kinegraph_benchmarks.quality.wording`, studio 0.8.0).
 
     Args:
         graph: as the user wrote it.

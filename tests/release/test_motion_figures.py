@@ -21,12 +21,12 @@ MEAN_MM, MAX_MM = 5.0, 15.0
 NO_FLIP = 90.0
 """Degrees by which a limb may turn about its own length from frame to frame; one that flips makes 180.
 
-Recorded clips make up to 38 degrees, those of studio 0.7.0 up to 70 (edge 0.6.0: below 45).
+Recorded clips make up to 38 degrees, those of studio 0.8.0 up to 88 (edge 0.6.0: below 45).
 """
 JOIN = 3.0
 """Acceleration at a join, in 95th percentiles of the clips that are joined.
 
-Studio 0.7.0 makes 1.1 on average and 2.7 at most (edge 0.6.0: below 2).
+Studio 0.8.0 makes 1.1 on average and 2.4 at most (edge 0.6.0: below 2).
 """
 FPS = 20.0
 

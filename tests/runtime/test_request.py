@@ -7,12 +7,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from kinegraph import InvalidInputError, MotionPipeline
+from kinegraph import InvalidInputError, MotionPipeline, Waypoint
 from kinegraph.bundle.manifest import Manifest
 from kinegraph.concepts import SPOKEN_NEGATION_WEIGHT
 from kinegraph.graph import Action, SemanticGraph
 from kinegraph.options import part_seed, resolve_options
-from kinegraph.request import STANDING, interpret, share_frames, split_in_order
+from kinegraph.request import AT_ONCE, STANDING, interpret, share_frames, split_in_order
 
 pytest.importorskip("spacy")
 
@@ -61,6 +61,28 @@ def test_who_is_unknown_is_a_person_to_the_model_alone(toy: MotionPipeline) -> N
         clip = toy.generate(sentence, seconds=2, **FEW)
         assert clip.text == sentence and clip.graph is not None and clip.graph.caption == sentence
         np.testing.assert_array_equal(clip.joints, toy.generate("a person walks forward", seconds=2, **FEW).joints)
+
+
+ORDERED = "a person walks forward, then bows"
+
+
+def test_actions_in_order_are_parts_in_a_shared_run_too(toy: MotionPipeline) -> None:
+    few = {**FEW, "seconds": [3, 2], "foot_fix": False, "seed": 5}
+    shared, alone = (
+        toy.batch([ORDERED, "a person waves"], takes=2, shared_run=shared, **few) for shared in (True, False)
+    )
+    for clip, own in zip(shared, alone, strict=True):
+        assert (clip.text, clip.seed, clip.graph, clip.notes) == (own.text, own.seed, own.graph, own.notes)
+        np.testing.assert_allclose(clip.joints, own.joints, atol=1e-3)
+    parts = toy.sequence(["a person walks forward", "a person bows"], **{**FEW, "seconds": 1.5, "seed": 5})
+    assert parts.frames == shared[0].frames == 60
+
+
+def test_actions_in_order_that_are_made_at_once_are_told(toy: MotionPipeline) -> None:
+    held = [Waypoint(1.0, (0.0, 0.5))]
+    assert AT_ONCE in toy.generate(ORDERED, seconds=3, constraints=held, **FEW).notes
+    assert AT_ONCE not in toy.generate("a person walks", seconds=3, constraints=held, **FEW).notes
+    assert AT_ONCE not in toy.generate(ORDERED, seconds=3, **FEW).notes
 
 
 def test_a_negated_action_is_a_concept_of_negative_weight(toy: MotionPipeline, manifest: Manifest) -> None:
