@@ -48,6 +48,10 @@ SECONDS_PER_STEP: Final = 0.55
 """Length that one step of a walk takes."""
 _TOLD: Final = re.compile(r"(?:an?|the|one|some(?:one|body)|he|she|it|they)\b", re.IGNORECASE)
 """Beginnings of sentences in the third person, which most captions have: a quick look before words are read."""
+_KNOWN_SUBJECT: Final = re.compile(
+    r"(?:(?:an?|the) (?:person|man|woman|figure|human|guy|character|actor|player)|some(?:one|body))\b", re.IGNORECASE
+)
+"""Beginnings of sentences about somebody whom training captions name: a quick look, too."""
 _WORDINGS: Final = re.compile("|".join(pattern for pattern, _ in WORDINGS), re.IGNORECASE)
 
 
@@ -144,7 +148,8 @@ def _as_trained(graph: SemanticGraph, vocabulary: Vocabulary | None) -> Semantic
         if _WORDINGS.search(graph.caption):
             graph = known_wording(graph)
     with suppress(InvalidGraphError):
-        graph = known_subject(graph, lambda word: vocabulary is None or is_shown(word, vocabulary))
+        if _KNOWN_SUBJECT.match(graph.caption) is None:
+            graph = known_subject(graph, lambda word: vocabulary is None or is_shown(word, vocabulary))
     return graph
 
 
