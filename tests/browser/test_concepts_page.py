@@ -38,14 +38,14 @@ def test_how_concepts_are_mixed_goes_to_the_clip_the_link_and_the_file(
     page.get_by_label("Joint sentence", exact=True).fill("a person walks while waving")
     page.get_by_label("Share of semantic").fill("0.7")
     page.get_by_label("Share of latent").fill("0.1")
-    assert page.locator(".shares output").all_text_contents() == ["10 %", "65 %", "25 %"]
+    assert page.locator(".shares output").all_text_contents() == ["10 %", "75 %", "15 %"]
     page.get_by_label("Adapt the words").check()
     page.get_by_label("Attention step").fill("0.1")
     settings(page, seconds="1.5", seed="3", steps="3")
     page.get_by_role("button", name="Generate").click()
     wait_until(page, lambda: clips_shown(page) >= 1 and "seed 3," in page.locator("body").inner_text())
     words = ["--and", "a person walks forward", "--and", "a person waves the right hand"]
-    mixed = ["--text", "a person walks while waving", "--lambdas", "0.1,0.65,0.25", "--agd", "0.1,0.2"]
+    mixed = ["--text", "a person walks while waving", "--lambdas", "0.1,0.75,0.15", "--agd", "0.1,0.2"]
     flags = ["--seconds", "1.5", "--seed", "3", "--steps", "3", "--threads", "1", "--quiet"]
     assert cli.main(["compose", *words, *mixed, *flags, "-o", str(tmp_path / "x.npz")]) == 0
     assert download(page, ".npz") == (tmp_path / "x.npz").read_bytes()
@@ -54,7 +54,7 @@ def test_how_concepts_are_mixed_goes_to_the_clip_the_link_and_the_file(
     other = open_page(page.url)
     wait_until(other, lambda: clips_shown(other) == 1)
     assert other.get_by_label("Share of semantic").is_visible()
-    assert other.locator(".shares output").all_text_contents() == ["10 %", "65 %", "25 %"]
+    assert other.locator(".shares output").all_text_contents() == ["10 %", "75 %", "15 %"]
     assert download(other, ".npz") == (tmp_path / "x.npz").read_bytes()
 
 
