@@ -51,6 +51,7 @@ def list_benchmarks(options: argparse.Namespace) -> list[Benchmark]:
         Benchmark("behaviour", "quality.behaviour", "Behaviours beside captured clips", data),
         Benchmark("lengths", "quality.duration_sweep", "Sentences at any length", data),
         Benchmark("waves", "quality.waves", "Waves at any length", data),
+        Benchmark("turns", "quality.turns", "How far turns go", data),
         Benchmark("sequences", "quality.sequences", "Parts of sequences", data),
         Benchmark("constraints", "quality.constraints", "Paths, places, poses", data),
         Benchmark("take_equality", "quality.take_equality", "Takes and the clips of their seeds", ()),

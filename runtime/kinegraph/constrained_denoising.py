@@ -27,7 +27,7 @@ from kinegraph.bundle.sessions import Sessions, run_model
 from kinegraph.clip import Clip
 from kinegraph.conditioning import Conditions
 from kinegraph.constraints import Constraint, Miss
-from kinegraph.decoding import MotionDecoder
+from kinegraph.decoding import MotionDecoder, tell_turn
 from kinegraph.denoising import LatentSampler, OnLatent, sample_hierarchy
 from kinegraph.diffusion.composition import CompositionWeights
 from kinegraph.diffusion.constraint_energy import Term, constraint_terms, seam_terms, total_energy
@@ -236,7 +236,8 @@ def told_clip(joints: FloatArray, wanted: Wanted, options: GenerateOptions, capt
     if missed and wanted.strict:
         raise InvalidInputError(f"{missed[0]}; change it, or leave out strict to come as near as it goes")
     bundle = f"{manifest.name} {manifest.version}"
-    return Clip(joints, manifest.fps, options.seed, caption, bundle, notes=(*wanted.notes, *missed), misses=misses)
+    notes = (*wanted.notes, *missed, *tell_turn(joints, options))
+    return Clip(joints, manifest.fps, options.seed, caption, bundle, notes=notes, misses=misses)
 
 
 def _sample_joints(

@@ -20,6 +20,7 @@ from kinegraph.bundle.manifest import Manifest, ScheduleSpec
 from kinegraph.diffusion.sampling import OnStep, StepInfo, is_stop
 from kinegraph.errors import InvalidInputError, TimedOut
 from kinegraph.limits import MAX_PARTS, MAX_TAKES
+from kinegraph.text.turns import Turn
 from kinegraph.validation import check_flag, finite_number, short_repr, whole_number
 
 LATENT: Final = "latent"
@@ -58,6 +59,11 @@ class GenerateOptions:
     """Guidance scale of each level; 0 is the unconditional model, 1 is no guidance."""
     foot_fix: bool = True
     """Whether standing feet are locked where they stand."""
+    turn: Turn | None = None
+    """How far the sentence turns the body."""
+    shown: tuple[int, int] | None = None
+    """First frame and the one behind the last of those that are not cut off again, by the joins of a sequence; None is
+    all."""
 
 
 def resolve_options(

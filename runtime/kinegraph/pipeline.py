@@ -57,7 +57,7 @@ from kinegraph.options import (
     with_margins,
     with_seconds,
 )
-from kinegraph.request import AT_ONCE, NEVER_STOOD, STANDING, interpret, share_frames, split_in_order
+from kinegraph.request import AT_ONCE, NEVER_STOOD, STANDING, interpret, share_frames, split_in_order, turn_of
 from kinegraph.slot_conditioning import SlotEncoder
 from kinegraph.text.parser import LazyParser, check_caption
 from kinegraph.text.tokenizer import CaptionTokenizer
@@ -276,8 +276,9 @@ class MotionPipeline:
         """Make a clip for a sentence or a graph. The same arguments give the same clip, bit for bit.
 
         Negated actions ("without waving") are taken away (Eq. 8). A length in words ("for four seconds") holds where
-        `seconds` is not given. Actions in order ("walks, then bows") are made one by one and joined. What the sentence
-        asks for and does not get stands in the clip's `notes`.
+        `seconds` is not given. Actions in order ("walks, then bows") are made one by one and joined. A turn goes as far as
+        the sentence says ("by 90 degrees", "around"), and is held back where it does not say (`text.turns`,
+        `motion.turning`). What the sentence asks for and does not get stands in the clip's `notes`.
 
         Args:
             text: a sentence, or its graph; weighted edges count as `concepts.weighted_edge_terms` says.
@@ -792,7 +793,9 @@ class MotionPipeline:
             InvalidInputError: the networks of the bundle cannot compute a term.
         """
         self.sampler.validate_composition(spec.lambdas, spec.agd)
-        plan = SamplingPlan.for_composition(spec, [self.as_graph(text) for text in spec.texts])
+        graphs = [self.as_graph(text) for text in spec.texts]
+        plan = SamplingPlan.for_composition(spec, graphs)
+        options = replace(options, turn=turn_of(graphs[: len(graphs) - len(spec.negated)]))
         features, options = self._encode(plan, options, own_length=own_length)
         return self.encoder.attend(features), plan, options
 
@@ -861,6 +864,7 @@ class MotionPipeline:
         features, sized = self._encode(plan, options, own_length=own_length and request.seconds is None)
         if not is_known and sized.frames > options.frames:
             sized = options
+        sized = replace(sized, turn=request.turn)
         notes = (*request.notes, *self._notes_of(request.wanted))
         return _EncodedPart(self.encoder, graph, plan, features, sized, notes, request.is_timed)
 
@@ -924,7 +928,7 @@ class MotionPipeline:
             before, after = blend_margins(self.manifest.fps, first=index == 0, last=index == len(parts) - 1)
             lead, options = with_margins(part.options, self.manifest, before, after)
             leads.append(lead)
-            longer.append(part.with_options(options))
+            longer.append(part.with_options(replace(options, shown=(lead, lead + part.options.frames))))
         return leads, longer
 
     def _stitch(self, clips: Sequence[Clip], leads: Sequence[int], parts: Sequence[_EncodedPart]) -> Clip:
@@ -933,7 +937,8 @@ class MotionPipeline:
         joints = stitch(
             [clip.joints for clip in clips], self.manifest.fps, leads=leads, lengths=lengths, foot_fix=foot_fix
         )
-        return replace(clips[0], joints=joints, graph=None)
+        notes = tuple(note for clip in clips for note in clip.notes)
+        return replace(clips[0], joints=joints, graph=None, notes=notes)
 
     def _continue_parts(
         self,
@@ -1073,7 +1078,8 @@ class MotionPipeline:
             for take in range(takes):
                 of_clip = own[take::takes]
                 clip = self._stitch(of_clip, leads, sentence.parts) if len(of_clip) > 1 else of_clip[0]
-                clips.append(replace(clip, text=sentence.graph.caption, graph=sentence.graph, notes=sentence.notes))
+                notes = (*sentence.notes, *clip.notes)
+                clips.append(replace(clip, text=sentence.graph.caption, graph=sentence.graph, notes=notes))
         return clips
 
     def _make_timeline(
@@ -1126,7 +1132,8 @@ class MotionPipeline:
                 self.sampler.validate_composition(spec.lambdas, spec.agd)
                 plan = SamplingPlan.for_composition(spec, [self.as_graph(text) for text in spec.texts])
                 features, _ = self._encode(plan, first.options, own_length=False)
-                first = replace(first, plan=plan, features=features)
+                options = replace(first.options, turn=turn_of(graphs))
+                first = replace(first, plan=plan, features=features, options=options)
             composed.append(first)
         return composed
 

@@ -9,7 +9,7 @@ without negations (they are concepts of negative weight, EnergyMoGen Eq. 8) and 
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import Final
@@ -30,6 +30,7 @@ from kinegraph.interpretation import (
 from kinegraph.options import GenerateOptions
 from kinegraph.text.lexicon import WORDINGS
 from kinegraph.text.quantities import Quantity, read_quantities
+from kinegraph.text.turns import Turn, read_turn
 from kinegraph.text.vocabulary import is_shown
 
 STANDING: Final = SemanticGraph(
@@ -52,6 +53,7 @@ _KNOWN_SUBJECT: Final = re.compile(
     r"(?:(?:an?|the) (?:person|man|woman|figure|human|guy|character|actor|player)|some(?:one|body))\b", re.IGNORECASE
 )
 """Beginnings of sentences about somebody whom training captions name: a quick look, too."""
+_TURNING: Final = re.compile(r"turn|rotat|pivot|swivel|spin|twirl|whirl|about[ -]?face", re.IGNORECASE)
 _WORDINGS: Final = re.compile("|".join(pattern for pattern, _ in WORDINGS), re.IGNORECASE)
 
 
@@ -67,6 +69,8 @@ class Request:
     """What must not happen."""
     seconds: float | None = None
     """Length that the sentence asks for, within what the bundle can do; None if the caller gave one."""
+    turn: Turn | None = None
+    """How far the body is to turn."""
     is_timed: bool = False
     """Whether the sentence says how long it takes, or an action of it."""
     notes: tuple[str, ...] = ()
@@ -117,9 +121,16 @@ def interpret(
         _as_trained(positive, vocabulary),
         tuple(_as_trained(part, vocabulary) for part in negated),
         spoken if seconds is None else None,
+        turn_of([graph]),
         bool(lengths),
         tuple(notes),
     )
+
+
+def turn_of(graphs: Iterable[SemanticGraph]) -> Turn | None:
+    """Read how far a body turns that does all of some graphs; None if they do not say, or say several things."""
+    turns = {read_turn(graph) for graph in graphs if _TURNING.search(graph.caption)} - {None}
+    return turns.pop() if len(turns) == 1 else None
 
 
 def _spoken_seconds(quantity: Quantity, manifest: Manifest) -> tuple[float | None, str | None]:

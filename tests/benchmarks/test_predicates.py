@@ -81,6 +81,7 @@ def test_turns_have_a_side_and_a_mirror() -> None:
     assert not p.turns("right")(joints)
     assert p.turns("right")(mirrored(joints))
     assert not p.turns("left")(walk(61, turning=np.radians(30) / 60))
+    assert not p.turns("left")(walk(61, turning=np.radians(250) / 60))
 
 
 def test_speed_is_metres_per_second() -> None:

@@ -14,9 +14,10 @@ import pytest
 
 from kinegraph_benchmarks import run_all
 
-NAMES = ["reconstruction", "behaviour", "lengths", "waves", "sequences", "constraints", "take_equality", "negations",
-         "wording", "everyday", "foot_fix", "evaluate", "masked_verbs", "edit_curves", "composition_settings",
-         "composition", "temporal_composition", "mtt", "sampling", "compare", "latent_tokens"]  # fmt: skip
+NAMES = ["reconstruction", "behaviour", "lengths", "waves", "turns", "sequences", "constraints", "take_equality",
+         "negations", "wording", "everyday", "foot_fix", "evaluate", "masked_verbs", "edit_curves",
+         "composition_settings", "composition", "temporal_composition", "mtt", "sampling", "compare",
+         "latent_tokens"]  # fmt: skip
 BROKEN = NAMES.index("masked_verbs") + 1
 
 

@@ -151,8 +151,8 @@ def goes_aside(side: str) -> p.Predicate:
 
 
 def turns_around(joints: FloatArray) -> bool:
-    """Tell whether the body ends facing more than 130 degrees from where it faced, or has been all the way round."""
-    return abs(p.net_turn(joints)) > 130
+    """Tell whether the body turns by more than 130 degrees, and at most all the way round, to 40 degrees."""
+    return 130 < abs(p.net_turn(joints)) < 400
 
 
 def walks_a_circle(joints: FloatArray) -> bool:

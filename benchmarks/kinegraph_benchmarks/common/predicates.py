@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from kinegraph.arrays import FloatArray
 from kinegraph.motion.skeleton import JOINT_INDEX, facing_angle
+from kinegraph.motion.turning import net_turn
 
 FPS = 20
 SIDES = ("left", "right")
@@ -25,6 +26,8 @@ WIDE_STROKE, WIDE_REVERSALS = 0.06, 2
 """Strokes of a wave with a raised hand, metres, and how often they turn around at least."""
 FLICK_STROKE, FLICK_REVERSALS, FLICK_SECONDS = 0.01, 4, 0.4
 """The same of a wave from the wrist, and the longest time between reversals: joints end at the wrist, which shakes."""
+MOST_TURN = 200.0
+"""Degrees of a turn to a side."""
 BESIDE_SHOULDER = 0.05
 """Metres above its shoulder below which a wrist may wave in flicks; higher up all captured waves are wide."""
 
@@ -44,12 +47,6 @@ def speed(joints: FloatArray) -> float:
     """Measure the mean speed of the pelvis over the floor, metres per second."""
     steps = np.linalg.norm(np.diff(joints[:, 0][:, [0, 2]], axis=0), axis=1)
     return float(steps.mean() * FPS)
-
-
-def net_turn(joints: FloatArray) -> float:
-    """Measure the change of heading from first to last frame, degrees, positive to the left."""
-    heading = facing_angle(joints)
-    return float(np.degrees(heading[-1] - heading[0]))
 
 
 def wrist_path(joints: FloatArray, side: str) -> float:
@@ -183,9 +180,12 @@ def goes(axis: int, sign: float, metres: float) -> Predicate:
 
 
 def turns(side: str) -> Predicate:
-    """Make a predicate: the body ends more than 45 degrees to that side of where it faced."""
+    """Make a predicate: the body ends more than 45 degrees to that side of where it faced, and goes on to no circle.
+
+    Captured turns to a side have 181 degrees at most, captured circles 204 at least.
+    """
     sign = 1.0 if side == "left" else -1.0
-    return lambda joints: sign * net_turn(joints) > 45.0
+    return lambda joints: 45.0 < sign * net_turn(joints) < MOST_TURN
 
 
 def raises(side: str) -> Predicate:

@@ -113,6 +113,7 @@ _MAY_HOLD_QUANTITY: Final = re.compile(
     re.IGNORECASE,
 )
 """A quick look before words are read."""
+_DEGREES: Final = re.compile(r"degrees?|degs?|°")
 _FIXED_COUNTS: Final = {"twice": 2.0, "thrice": 3.0}
 _ABOUT: Final = frozenset(
     "about around approximately roughly exactly almost nearly only just least most another the first last next up to at"
@@ -148,6 +149,37 @@ def find_quantities(text: str) -> list[FoundQuantity]:
         if quantity is not None and 0 < quantity.number <= MAX_NUMBER:
             found.append(quantity)
     return found
+
+
+def find_degrees(text: str) -> list[float]:
+    """Find the angles of a text, from left to right: "90 degrees", "a forty-five-degree turn", "180°"."""
+    words = [_Word(match.group().lower(), match.start(), match.end()) for match in _WORD.finditer(text)]
+    angles = []
+    for index in (index for index, word in enumerate(words) if _DEGREES.fullmatch(word.text)):
+        first = index - 2 if _text(words, index - 1) == "-" else index - 1
+        # from the longest number that ends there: "one hundred and eighty" begins before "eighty" does
+        for begin in range(max(first - 4, 0), first + 1):
+            value = _hundreds(words, begin, first)
+            if value is not None and not _is_negative(words, begin):
+                angles.append(value)
+                break
+    return angles
+
+
+def _hundreds(words: Sequence[_Word], begin: int, last: int) -> float | None:
+    """Read a number of exactly these words, hundreds in words among them."""
+    number = _read_number(words, begin)
+    if number is None or _text(words, begin) in ("half", "quarter"):
+        return None
+    if number.last == last:
+        return number.value
+    is_hundred = _text(words, number.last + 1) == "hundred"
+    value, at = (100 * number.value, number.last + 1) if is_hundred else (number.value, number.last)
+    if at == last:
+        return value
+    rest = _read_number(words, at + 1 + (_text(words, at + 1) == "and"))
+    is_whole = rest is not None and rest.last == last and rest.value < 100 and value % 100 == 0
+    return value + rest.value if rest is not None and is_whole else None
 
 
 def _text(words: Sequence[_Word], index: int) -> str:

@@ -1,7 +1,6 @@
 """Bent walks: recorded straight walks and runs led around a circle, through a U-turn, or to a stop.
 
-Heading and travel of a motion are features of their own, each relative to the frame before. Adding a turn to every
-frame bends the path and leaves the gait as it is.
+A turn is added to the heading of every frame (`kinegraph.motion.turning`).
 """
 
 from __future__ import annotations
@@ -12,8 +11,8 @@ from typing import Final
 import numpy as np
 
 from kinegraph.arrays import DoubleArray, FloatArray
-from kinegraph.motion.features import features_from_joints, joints_from_features
 from kinegraph.motion.skeleton import JOINT_INDEX, facing_angle, start_at_origin
+from kinegraph.motion.turning import bend
 from kinegraph_training.data.clips import MotionClip
 from kinegraph_training.metrics import FPS
 from kinegraph_training.synthetic.caption_grammar import CAPTIONS, PHRASES, concept_caption
@@ -41,18 +40,6 @@ def is_straight(joints: FloatArray) -> bool:
         abs(np.degrees(heading[-1] - heading[0])) < MAX_STRAIGHT_TURN
         and np.linalg.norm(joints[-1, 0, [0, 2]] - joints[0, 0, [0, 2]]) > 1.0
     )
-
-
-def bend(joints: FloatArray, turn: DoubleArray) -> FloatArray:
-    """Turn a motion by an extra angle in every frame.
-
-    Args:
-        joints: (frames, 22, 3).
-        turn: (frames,) radians about +Y, positive to the left.
-    """
-    features = features_from_joints(joints)
-    features[:, 0] += turn[: len(features)].astype(np.float32)
-    return joints_from_features(features)
 
 
 def circle_turn(frames: int, side: str, rng: np.random.Generator) -> DoubleArray:

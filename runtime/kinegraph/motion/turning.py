@@ -1,0 +1,105 @@
+"""Turn a motion further, or less far, and keep its steps.
+
+Heading and travel of a body are features relative to the frame before (`motion.features`). Adding an angle to the
+heading of every frame bends the path and leaves the gait as it is. Angles are about +Y, positive to the left.
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+
+from kinegraph.arrays import DoubleArray, FloatArray
+from kinegraph.motion.features import features_from_joints, joints_from_features
+from kinegraph.motion.skeleton import facing_angle
+
+Span = tuple[int, int]
+
+MOST_LONGER: Final = 2.0
+"""How many times as far a motion is turned at most: one that turns less was not meant to."""
+BEYOND: Final = 0.1
+"""Share that stays of what a turn goes too far."""
+SMOOTH_SECONDS: Final = 0.5
+"""Deviation of the Gaussian window that tells a turn from the sway of hips and shoulders at each step."""
+
+
+def bend(joints: FloatArray, turn: DoubleArray) -> FloatArray:
+    """Turn a motion by an extra angle from each frame to the next.
+
+    Args:
+        joints: (frames, 22, 3) metres, from the origin on and facing +Z.
+        turn: (frames,) radians, of which the last counts for nothing.
+    """
+    features = features_from_joints(joints)
+    features[:, 0] += turn[: len(features)].astype(np.float32)
+    return joints_from_features(features)
+
+
+def net_turn(joints: FloatArray) -> float:
+    """Measure the change of heading from the first frame to the last, degrees, with all rounds."""
+    heading = facing_angle(joints)
+    return float(np.degrees(heading[-1] - heading[0]))
+
+
+def turn_by(joints: FloatArray, fps: float, degrees: float, side: int, shown: Span | None = None) -> FloatArray:
+    """Let a motion turn by exactly so much, if it turns that way by half of it at least; else leave it.
+
+    Args:
+        joints: (frames, 22, 3) metres, from the origin on and facing +Z.
+        fps: frames a second.
+        degrees: above 0.
+        side: 1 to the left, -1 to the right, 0 the way that it turns.
+        shown: first frame and the one behind the last of those in which the turn is measured; None is all.
+    """
+    made = _turned_to(joints, side, shown)
+    return scale_turn(joints, fps, degrees / made, shown) if made * MOST_LONGER >= degrees else joints
+
+
+def hold_back_turn(joints: FloatArray, fps: float, degrees: float, side: int, shown: Span | None = None) -> FloatArray:
+    """Let a motion turn hardly further than so much: a tenth of what is beyond stays, so more remains more.
+
+    Args:
+        joints, fps, degrees, side, shown: see `turn_by`.
+    """
+    made = _turned_to(joints, side, shown)
+    wanted = degrees + BEYOND * (made - degrees)
+    return scale_turn(joints, fps, wanted / made, shown) if made > degrees else joints
+
+
+def scale_turn(joints: FloatArray, fps: float, factor: float, shown: Span | None = None) -> FloatArray:
+    """Turn `factor` times as far, at each moment in proportion to how fast the motion turns there.
+
+    The sway of the body at each step, which is no turn, stays.
+
+    Args:
+        joints, fps, shown: see `turn_by`.
+        factor: of the change of heading from the first to the last frame that is shown.
+    """
+    heading = facing_angle(joints).astype(np.float64)
+    first, last = _ends(joints, shown)
+    made, turn = heading[last] - heading[first], smooth_with_ends(heading, SMOOTH_SECONDS * fps)
+    if (turn[last] - turn[first]) / made < 0.5:  # most of it happens where the frames that are shown begin or end
+        turn = heading
+    share = (factor - 1.0) * made / (turn[last] - turn[first])
+    return bend(joints, np.append(share * np.diff(turn), 0.0))
+
+
+def smooth_with_ends(values: DoubleArray, deviation: float) -> DoubleArray:
+    """Average values (n,) under a Gaussian window of that deviation, and keep the first and the last."""
+    reach = min(round(3 * deviation), len(values) - 1)
+    window = np.exp(-0.5 * (np.arange(-reach, reach + 1) / deviation) ** 2)
+    # mirrored through the end points, so that these stay where they are
+    before, after = 2 * values[0] - values[reach:0:-1], 2 * values[-1] - values[-2 : -reach - 2 : -1]
+    smoothed: DoubleArray = np.convolve(np.concatenate([before, values, after]), window / window.sum(), mode="valid")
+    return smoothed
+
+
+def _turned_to(joints: FloatArray, side: int, shown: Span | None) -> float:
+    first, last = _ends(joints, shown)
+    made = net_turn(joints[first : last + 1])
+    return made * side if side else abs(made)
+
+
+def _ends(joints: FloatArray, shown: Span | None) -> Span:
+    return (0, len(joints) - 1) if shown is None else (shown[0], shown[1] - 1)
