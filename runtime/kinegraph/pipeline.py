@@ -276,8 +276,8 @@ class MotionPipeline:
         """Make a clip for a sentence or a graph. The same arguments give the same clip, bit for bit.
 
         Negated actions ("without waving") are taken away (Eq. 8). A length in words ("for four seconds") holds where
-        `seconds` is not given. Actions in order ("walks, then bows") are made one by one and joined. A turn goes as far as
-        the sentence says ("by 90 degrees", "around"), and is held back where it does not say (`text.turns`,
+        `seconds` is not given. Actions in order ("walks, then bows") are made one by one and joined. A turn goes as far
+        as the sentence says ("by 90 degrees", "around"), and is held back where it does not say (`text.turns`,
         `motion.turning`). What the sentence asks for and does not get stands in the clip's `notes`.
 
         Args:

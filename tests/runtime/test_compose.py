@@ -215,6 +215,12 @@ def test_a_number_after_a_colon_is_a_weight(text: str, expected: tuple[str, floa
     assert split_weight(text) == expected
 
 
+@pytest.mark.parametrize("text", ["a person walks=0.3", "a person walks = 0.3", "a person walks*0.3"])
+def test_a_weight_behind_another_sign_is_refused(text: str) -> None:
+    with pytest.raises(InvalidInputError, match=r"write the weight as a person walks:0\.3"):
+        split_weight(text)
+
+
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import re
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -11,6 +12,7 @@ from typing import TYPE_CHECKING, Final
 
 from kinegraph.errors import InvalidInputError, KinegraphError
 from kinegraph.limits import MAX_TAKES
+from kinegraph.validation import short_repr
 
 if TYPE_CHECKING:
     from kinegraph.concepts import Concept
@@ -41,7 +43,13 @@ def load_pipeline(bundle: str | None, threads: int | None, *, parses: bool) -> M
 
 
 def split_weight(text: str) -> tuple[str, float | None]:
-    """Split `a person walks:0.8` into sentence and weight; the weight is None without a number at the end."""
+    """Split `a person walks:0.8` into sentence and weight; the weight is None without a number at the end.
+
+    Raises:
+        InvalidInputError: the number is behind another sign, as in "a person walks=0.8".
+    """
+    if (wrong := re.search(r"\s*[=*@]\s*([-+]?\d+(?:\.\d+)?)\s*$", text)) is not None:
+        raise InvalidInputError(f"{short_repr(text)}: write the weight as {text[: wrong.start()]}:{wrong[1]}")
     sentence, colon, number = text.rpartition(":")
     try:
         return (sentence, float(number)) if colon else (text, None)

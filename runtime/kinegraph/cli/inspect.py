@@ -122,6 +122,7 @@ def info_record(bundle: Bundle) -> dict[str, Any]:
         "features": {"layout": features["layout"], "heading": features["heading"]},
         "levels": manifest["levels"],
         "defaults": manifest["defaults"],
+        "spacing": manifest["schedule"]["spacing"],
         "bytes": {name: entry["bytes"] for name, entry in manifest["files"].items()},
         "training": manifest["training"],
         "quality": manifest["quality"],
@@ -153,10 +154,11 @@ def info_text(record: Mapping[str, Any]) -> str:
         f"clips of {shortest:g} to {longest:g} seconds at {record['fps']:g} frames per second, "
         f"default {defaults['seconds']:g}; features {record['features']['layout']}; networks {record['family']}",
     ]
+    begin = "from pure noise" if record["spacing"] == "trailing" else "counted up from the clean end"
     for name, level in record["levels"].items():
         lines.append(
             f"  {name:<9} {level['tokens']} tokens, {level['layers']} layers of width {level['width']}, "
-            f"{defaults['steps'][name]} steps, guidance {defaults['guidance'][name]:g}"
+            f"{defaults['steps'][name]} steps {begin}, guidance {defaults['guidance'][name]:g}"
         )
     lines += _section("what it can do, and what it cannot", record["scope"])
     lines += _section("licences", record["licence"])
