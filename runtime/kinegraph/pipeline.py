@@ -795,7 +795,8 @@ class MotionPipeline:
         self.sampler.validate_composition(spec.lambdas, spec.agd)
         graphs = [self.as_graph(text) for text in spec.texts]
         plan = SamplingPlan.for_composition(spec, graphs)
-        options = replace(options, turn=turn_of(graphs[: len(graphs) - len(spec.negated)]))
+        weights = [concept.weight for concept in spec.concepts]
+        options = replace(options, turn=turn_of(graphs[: len(weights)], weights))
         features, options = self._encode(plan, options, own_length=own_length)
         return self.encoder.attend(features), plan, options
 
@@ -1132,7 +1133,7 @@ class MotionPipeline:
                 self.sampler.validate_composition(spec.lambdas, spec.agd)
                 plan = SamplingPlan.for_composition(spec, [self.as_graph(text) for text in spec.texts])
                 features, _ = self._encode(plan, first.options, own_length=False)
-                options = replace(first.options, turn=turn_of(graphs))
+                options = replace(first.options, turn=turn_of(graphs, [1.0] * len(graphs)))
                 first = replace(first, plan=plan, features=features, options=options)
             composed.append(first)
         return composed

@@ -9,7 +9,7 @@ without negations (they are concepts of negative weight, EnergyMoGen Eq. 8) and 
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import Final
@@ -127,9 +127,18 @@ def interpret(
     )
 
 
-def turn_of(graphs: Iterable[SemanticGraph]) -> Turn | None:
-    """Read how far a body turns that does all of some graphs; None if they do not say, or say several things."""
-    turns = {read_turn(graph) for graph in graphs if _TURNING.search(graph.caption)} - {None}
+def turn_of(graphs: Sequence[SemanticGraph], weights: Sequence[float] = (1.0,)) -> Turn | None:
+    """Read how far a body turns that does all of some graphs; None if they do not say, or say several things.
+
+    Args:
+        graphs: of what happens at once.
+        weights: of the graphs: the heavier, the later a turn is held back whose size is not said.
+    """
+    turns = set()
+    for graph, weight in zip(graphs, weights, strict=True):
+        turn = read_turn(graph) if _TURNING.search(graph.caption) else None
+        if turn is not None:
+            turns.add(turn if turn.is_said else replace(turn, degrees=weight * turn.degrees))
     return turns.pop() if len(turns) == 1 else None
 
 

@@ -16,6 +16,7 @@ from kinegraph.edits import with_weight
 from kinegraph.motion.skeleton import bone_lengths, facing_angle
 from kinegraph.motion.turning import bend, hold_back_turn, net_turn, scale_turn, smooth_with_ends, turn_by
 from kinegraph.options import resolve_options
+from kinegraph.request import turn_of
 from kinegraph.text.quantities import find_degrees
 from kinegraph.text.turns import FULL, HALF, QUARTER, SLIGHT, UNSAID, Turn, read_turn
 from support.motions import walk
@@ -220,6 +221,15 @@ def test_a_negated_concept_turns_nothing(toy: MotionPipeline) -> None:
         for text in (FIVE, "a person turns by 7 degrees")
     )
     assert not with_it.notes and not without.notes
+
+
+def test_weights_of_concepts_weigh_turns(parser: GraphParser) -> None:
+    walk_left, walks, around = (
+        parser.parse(f"a person {does}") for does in ("walks and turns left", "walks", "turns around")
+    )
+    assert turn_of([walk_left, walks], [0.5, 1.0]) == Turn(UNSAID / 2, 1, False)
+    assert turn_of([around, walks], [0.5, 1.0]) == Turn(HALF, 0, True)
+    assert turn_of([around, walk_left], [1.0, 1.0]) is None is turn_of([walks])
 
 
 def test_parts_that_follow_one_another_turn_and_tell_each_for_itself(toy: MotionPipeline) -> None:
