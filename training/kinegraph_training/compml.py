@@ -273,7 +273,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="kinegraph_training.compml", description=__doc__.split("\n\n")[0])
     parser.add_argument("--data", type=Path, required=True, help="captured motion: which actions, styles and lengths")
     parser.add_argument("--held-out", type=Path, required=True, help="JSON of action pairs that must not be composed")
-    parser.add_argument("--bundle", type=Path, help="folder of the bundle that composes; the default bundle without it")
+    parser.add_argument("--bundle", help="folder or name of the bundle that composes (the default bundle)")
     parser.add_argument("--count", type=int, required=True, help="clips to make")
     parser.add_argument("--out", type=Path, required=True, help="data folder to write")
     parser.add_argument("--seed", type=int, default=0)
