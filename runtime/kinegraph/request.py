@@ -53,7 +53,9 @@ _KNOWN_SUBJECT: Final = re.compile(
     r"(?:(?:an?|the) (?:person|man|woman|figure|human|guy|character|actor|player)|some(?:one|body))\b", re.IGNORECASE
 )
 """Beginnings of sentences about somebody whom training captions name: a quick look, too."""
-_TURNING: Final = re.compile(r"turn|rotat|pivot|swivel|spin|twirl|whirl|about[ -]?face", re.IGNORECASE)
+_TURNING: Final = re.compile(
+    r"turn|rotat|pivot|swivel|veer|swerve|spin|twirl|whirl|about[ -]?face|bend|curve", re.IGNORECASE
+)
 _WORDINGS: Final = re.compile("|".join(pattern for pattern, _ in WORDINGS), re.IGNORECASE)
 
 

@@ -81,6 +81,11 @@ def test_angles_are_read(text: str, degrees: list[float]) -> None:
         ("he pivots on his left foot to the right", UNSAID, -1, False),
         ("a person turns slightly to the left", SLIGHT, 1, False),
         ("a person runs and turns around the corner", UNSAID, 0, False),
+        ("the man turns to face left", UNSAID, 1, False),
+        ("he turns right to look back", UNSAID, -1, False),
+        ("her walk bends to the left", UNSAID, 1, False),
+        ("she spins to face the other way, going nowhere", HALF, 0, True),
+        ("one full rotation on the spot", FULL, 0, True),
     ],
 )
 def test_turns_are_read(parser: GraphParser, caption: str, degrees: float, side: int, is_said: bool) -> None:
@@ -95,7 +100,8 @@ def test_turns_are_read(parser: GraphParser, caption: str, degrees: float, side:
         "a person turns his head to the left",
         "a person turns a wheel",
         "a person turns over",
-        "a person spins",
+        "a person spins around",
+        "a person bends to the left",
         "someone spins around three times",
         "a person turns around twice",
         "a person keeps turning left",
@@ -159,9 +165,9 @@ def test_the_sway_at_each_step_is_no_turn() -> None:
 
 
 def test_turns_are_held_back_without_a_jump() -> None:
-    turned = [net_turn(hold_back_turn(turning(made), 20, 85, 1)) for made in (-100, 40, 84, 86, 200, 400)]
-    assert np.allclose(turned[:3], [-100, 40, 84], atol=0.5)
-    assert np.allclose(turned[3:], [85.1, 96.5, 116.5], atol=0.5)
+    turned = [net_turn(hold_back_turn(turning(made), 20, 85, 1)) for made in (-100, 40, 84, 86, 170, 340, 1700)]
+    assert np.allclose(turned[:4], [-100, 40, 84, 85.3], atol=0.5)
+    assert np.allclose(turned[4:], [101.5, 114.4, 119.0], atol=0.5)
 
 
 def test_the_frames_that_are_shown_turn_as_far() -> None:

@@ -6,6 +6,7 @@ import json
 import subprocess
 import sys
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import SimpleNamespace
@@ -63,7 +64,7 @@ def rough_data(tmp_path: Path) -> Path:
     return written(tmp_path / "rough", 0.02)
 
 
-def written(folder: Path, tremble: float) -> Path:
+def written(folder: Path, tremble: float, recorded: Sequence[tuple[str, str, np.ndarray]] = RECORDED) -> Path:
     rng = np.random.default_rng(0)
     write_data(
         folder,
@@ -77,7 +78,7 @@ def written(folder: Path, tremble: float) -> Path:
                 content,
                 style,
             )
-            for content, style, joints in RECORDED
+            for content, style, joints in recorded
         ],
         20,
     )
@@ -181,6 +182,15 @@ def test_hands_that_hardly_move_are_no_gesture(data: Path) -> None:
     faint, calm = (recorded[:1] + size * (recorded - recorded[:1]) for size in (0.6, 0.8))
     assert composer.is_lively(recorded, kind) and composer.is_lively(calm, kind)
     assert not composer.is_lively(faint, kind)
+
+
+def test_a_clip_without_a_style_is_composed_with_normal_ones(tmp_path: Path) -> None:
+    plain = ("raise-up-right-hand", "", waving(30, 17))
+    folder = written(tmp_path / "plain", 0.0, [("walk", "normal", walk(24)), plain])
+    composer = stub_composer(folder, walk(24))
+    request, _, _ = composer.compose(0)
+    assert request.actions == ("walk", "raise-up-right-hand")
+    assert composer.slowest[("raise-up-right-hand", "normal")] == pytest.approx(hand_speed(plain[2]), rel=0.02)
 
 
 def test_a_clip_that_is_never_clean_is_left_out_and_counted(data: Path, tmp_path: Path) -> None:

@@ -41,7 +41,14 @@ from kinegraph_training.data.clips import AT_ONCE, MotionClip, read_split
 from kinegraph_training.data.folder import PreparedClip, write_data
 from kinegraph_training.metrics import foot_skate, hand_speed, jerk
 from kinegraph_training.synthetic.caption_grammar import PHRASES, concept_caption, splice_caption
-from kinegraph_training.synthetic.compositions import HeldOut, by_style_and_action, can_splice, draw_of, draw_style
+from kinegraph_training.synthetic.compositions import (
+    NORMAL,
+    HeldOut,
+    by_style_and_action,
+    can_splice,
+    draw_of,
+    draw_style,
+)
 
 LIMIT: Final = 1.5
 """Factor by which jerk and foot skate may exceed those of captured clips, and hand speed fall below theirs."""
@@ -126,7 +133,7 @@ class Composer:
             clip = self.pipe.compose(
                 request.concepts, text=request.captions[0], seconds=request.seconds, seed=request.seed
             )
-            gesture = (request.actions[1], request.style)
+            gesture = (request.actions[1], request.style or NORMAL)
             if self.is_clean(clip.joints, request.actions) and self.is_lively(clip.joints, gesture):
                 return request, clip.joints, attempt
         return request, clip.joints[:0], ATTEMPTS
@@ -149,7 +156,8 @@ def make_composer(pipe: MotionPipeline, data: Path, held_out: Path, seed: int) -
     usable = [
         clip for clip in clips if PHRASES[clip.action].parts != "body" and shortest <= len(clip.joints) <= longest
     ]
-    if len({(clip.style, clip.action) for clip in usable}) == len({clip.style for clip in usable}):
+    labels = {(clip.action, clip.style or NORMAL) for clip in usable}  # clips without a style go with the normal ones
+    if len(labels) == len({style for _, style in labels}):
         raise InvalidInputError(f"{data} has no style with two labelled actions; nothing can be composed")
     measures: dict[str, list[tuple[float, float]]] = {}
     for clip in usable:
@@ -158,7 +166,7 @@ def make_composer(pipe: MotionPipeline, data: Path, held_out: Path, seed: int) -
     highest = {action: np.nanmax([(0.0, 0.0), *rows], axis=0) for action, rows in measures.items()}
     slowest: dict[tuple[str, str], float] = {}
     for clip in usable:
-        label = (clip.action, clip.style)
+        label = (clip.action, clip.style or NORMAL)
         slowest[label] = min(slowest.get(label, np.inf), hand_speed(clip.joints))
     return Composer(pipe, usable, HeldOut.read(held_out), seed, highest, slowest)
 

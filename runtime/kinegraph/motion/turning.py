@@ -18,8 +18,10 @@ Span = tuple[int, int]
 
 MOST_LONGER: Final = 2.0
 """How many times as far a motion is turned at most: one that turns less was not meant to."""
-BEYOND: Final = 0.1
-"""Share that stays of what a turn goes too far."""
+BEYOND: Final = 0.4
+"""Share of a turn by which one that is held back goes further at most."""
+BEYOND_SCALE: Final = 1.5
+"""How far beyond itself, in its own size, a turn is made that goes further by 63 % of that."""
 SMOOTH_SECONDS: Final = 0.5
 """Deviation of the Gaussian window that tells a turn from the sway of hips and shoulders at each step."""
 
@@ -57,14 +59,16 @@ def turn_by(joints: FloatArray, fps: float, degrees: float, side: int, shown: Sp
 
 
 def hold_back_turn(joints: FloatArray, fps: float, degrees: float, side: int, shown: Span | None = None) -> FloatArray:
-    """Let a motion turn hardly further than so much: a tenth of what is beyond stays, so more remains more.
+    """Let a motion turn hardly further than so much, by 40 % at most; what turns further still does.
 
     Args:
         joints, fps, degrees, side, shown: see `turn_by`.
     """
     made = _turned_to(joints, side, shown)
-    wanted = degrees + BEYOND * (made - degrees)
-    return scale_turn(joints, fps, wanted / made, shown) if made > degrees else joints
+    if made <= degrees:
+        return joints
+    further = BEYOND * (1.0 - np.exp(-(made / degrees - 1.0) / BEYOND_SCALE))
+    return scale_turn(joints, fps, degrees * (1.0 + further) / made, shown)
 
 
 def scale_turn(joints: FloatArray, fps: float, factor: float, shown: Span | None = None) -> FloatArray:

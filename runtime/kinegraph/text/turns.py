@@ -35,12 +35,13 @@ class Turn:
     """Whether the sentence says how far."""
 
 
-_VERB: Final = re.compile(r"(?:turn|pivot|swivel)(?:s|ed|ing)?$", re.IGNORECASE)
+_VERB: Final = re.compile(r"(?:turn|pivot|swivel|veer|swerve)(?:s|e?d|ing)?$", re.IGNORECASE)
 _TO_A_SIDE: Final = re.compile(r"(?:rotat|spin|twirl|whirl)(?:e?s|ed|n?ing|e)?$", re.IGNORECASE)
 """Verbs of turns that go on, unless the sentence says how far."""
 _NOUN: Final = re.compile(
-    r"\b(?:an?|one|the|sharp|slight|small|left|right|quarters?|half|full|complete|whole|degrees?)[ -](?:u-?)?turn\b"
-    r"|\bu-?turn\b|\babout[ -]?(?:face|turn)\b",
+    r"\b(?:an?|one|the|sharp|slight|small|left|right|quarters?|half|full|complete|whole|degrees?)[ -](?:u-?)?"
+    r"(?:turn|rotation)\b|\bu-?turn\b|\babout[ -]?(?:face|turn)\b|\b(?:along|around|round) a (?:bend|curve)\b"
+    r"|\b(?:walk|path|way|course|run)\b[^,.;]*? (?:bends|curves)\b",
     re.IGNORECASE,
 )
 _MEASURE: Final = re.compile(r"degree|°|\b(?:turn|circle|way\b|quarter|half|u\b|rotation|revolution)", re.IGNORECASE)
@@ -54,17 +55,26 @@ _WITHOUT_END: Final = re.compile(
     r"\b(?:ke(?:ep|eps|eping|pt)|continu\w+|repeated\w*|again and again|always|several|many|times|twice|thrice"
     r"|both ways|to and fro|back and forth|left and (?:to the )?right|right and (?:to the )?left|this way"
     r"|(?:a?round|turns) and (?:a?round|turns)|"
-    r"(?<!full )(?<!half )(?<!complete )(?<!whole )(?:circles?|rings?|loops?|spirals?|curve|bend))\b",
+    r"(?<!full )(?<!half )(?<!complete )(?<!whole )(?:circles?|rings?|loops?|spirals?))\b",
     re.IGNORECASE,
 )
 """Words of turns whose size they do not fix, and of paths."""
 _SLIGHT: Final = re.compile(r"\b(?:slight\w*|a little|a bit|small)\b", re.IGNORECASE)
+_ROUND: Final = r"(?:turn|circle|rotation|revolution|round|spin|way)\b"
+_AROUND: Final = re.compile(
+    r"\b(?:a?round|(?<!look )(?<!looks )(?<!looking )back)\b(?! (?:the|an?|his|her|their|its|this|that|one) )",
+    re.IGNORECASE,
+)
 _SIZES: Final = (
     (re.compile(r"\bthree[ -]quarters?\b", re.IGNORECASE), THREE_QUARTERS),
     (re.compile(r"\bquarter\b", re.IGNORECASE), QUARTER),
-    (re.compile(r"\b(?:half|u-?turn|about[ -]?(?:face|turn))\b", re.IGNORECASE), HALF),
-    (re.compile(r"\b(?:full|complete(?:ly)?|whole|entire(?:ly)?|all the way|fully)\b", re.IGNORECASE), FULL),
-    (re.compile(r"\b(?:a?round|back)\b(?! (?:the|an?|his|her|their|its|this|that|one) )", re.IGNORECASE), HALF),
+    (re.compile(rf"\bhalf[ -]?(?:an? )?{_ROUND}|\bu-?turn\b|\babout[ -]?(?:face|turn)\b", re.IGNORECASE), HALF),
+    (re.compile(r"\b(?:the other way|(?:the )?opposite)\b", re.IGNORECASE), HALF),
+    (
+        re.compile(rf"\b(?:full|complete|whole) {_ROUND}|\b(?:completely|entirely|fully|all the way)\b", re.IGNORECASE),
+        FULL,
+    ),
+    (_AROUND, HALF),
 )
 """Words for sizes; the first that is there counts."""
 _SIDES_OF_THE_BODY: Final = re.compile(r"\b(?:left|right) (?:foot|leg|heel|toes?|hand|arm|side)\b", re.IGNORECASE)
@@ -94,11 +104,15 @@ def read_turn(graph: SemanticGraph) -> Turn | None:
 
 
 def _clause(caption: str, actions: Sequence[Action], index: int) -> str:
-    """Take the words of an action: from it or what modifies it up to the next action."""
+    """Take the words of an action: from what modifies it to the next action, with what it is done for ("to face left").
+
+    The first action has its subject, too: "her walk bends to the left".
+    """
     action = actions[index]
-    begin = min([action.start, *(node.start for node in action.arguments if node.role.startswith("ARGM"))])
-    following = [other.start for other in actions[index + 1 :] if other.start > action.start]
-    return caption[begin : min(following, default=len(caption))]
+    starts = [node.start for node in action.arguments if index == 0 or node.role.startswith("ARGM")]
+    ends = [node.end for node in action.arguments if node.text.startswith("to ")]
+    after = [other.start for other in actions[index + 1 :] if other.start > action.start]
+    return caption[min([action.start, *starts]) : max([min(after, default=len(caption)), *ends])]
 
 
 def _turn_of(action: Action, clause: str) -> Turn | None:
@@ -110,7 +124,7 @@ def _turn_of(action: Action, clause: str) -> Turn | None:
         return None
     sides = _SIDES_OF_THE_BODY.sub("", _AGAINST_THE_CLOCK.sub("left", clause))
     left, right = _LEFT.search(sides) is not None, _RIGHT.search(sides) is not None
-    degrees = _said_degrees(clause)
+    degrees = _said_degrees(clause if is_turn else _AROUND.sub("", clause))
     if degrees is not None:
         return Turn(degrees, int(left) - int(right), True)
     if goes_on or (left and right):
