@@ -27,6 +27,7 @@ kinegraph generate "a person walks and turns right" --seconds 4 --seed 6 -o grap
 "$python" actions.py
 # docs/composition.md
 kinegraph compose --and "a person walks forward" --and "a person raises both hands" --seconds 4 --seed 2 -o compose_walk.png
+kinegraph compose --and "a person walks forward" --and "a person raises the left hand" --and "a person waves the right hand" --method parts --seconds 4 --seed 7 -o compose_parts.png
 kinegraph compose --and "a person walks and turns left" --and "a person waves both hands" --seconds 4 --seed 2 -o compose_turn.png
 kinegraph compose --and "a person walks and turns left while a person waves both hands" --not "a person waves both hands" --seconds 4 --seed 2 -o compose_not.png
 # of this clip only the energies are kept

@@ -24,6 +24,9 @@ from kinegraph.text.parser import check_caption
 from kinegraph.validation import finite_number, short_repr
 
 METHODS: Final = ("latent", "semantic", "fused")
+"""Ways to compose in one run (Eq. 7-10)."""
+PARTS: Final = "parts"
+"""Each concept sampled alone, and its parts of the body joined (`part_composition`)."""
 DEFAULT_LAMBDAS: Final = (0.3, 0.3, 0.4)
 """Shares of the latent-aware, semantic-aware and joint-text terms.
 
@@ -152,7 +155,7 @@ def validate_composition(concepts: object, method: object, text: Any, lambdas: o
             step sizes that are no two numbers from 0 to 1.
     """
     if not isinstance(method, str) or method not in METHODS:
-        raise InvalidInputError(f"method must be one of {', '.join(METHODS)}, not {short_repr(method)}")
+        raise InvalidInputError(f"method must be one of {', '.join((*METHODS, PARTS))}, not {short_repr(method)}")
     checked = validate_concepts(concepts)
     wanted = checked if method == "semantic" else tuple(concept for concept in checked if concept.weight > 0)
     negated = () if method == "semantic" else tuple(concept for concept in checked if concept.weight < 0)

@@ -31,7 +31,7 @@ from kinegraph.bundle.tables import bones_of
 from kinegraph.bundle.vocabulary import Vocabulary
 from kinegraph.clip import Clip
 from kinegraph.concat_denoising import ConcatSampler
-from kinegraph.concepts import CompositionSpec, Concept, SamplingPlan, validate_composition
+from kinegraph.concepts import PARTS, CompositionSpec, Concept, SamplingPlan, validate_composition
 from kinegraph.conditioning import ConditionEncoder, Conditions, GraphArrays, repeat_rows
 from kinegraph.decoding import MotionDecoder
 from kinegraph.denoising import LatentSampler, OnLatent
@@ -57,7 +57,16 @@ from kinegraph.options import (
     with_margins,
     with_seconds,
 )
-from kinegraph.request import AT_ONCE, NEVER_STOOD, STANDING, interpret, share_frames, split_in_order, turn_of
+from kinegraph.request import (
+    AT_ONCE,
+    MANY_AT_ONCE,
+    NEVER_STOOD,
+    STANDING,
+    interpret,
+    share_frames,
+    split_in_order,
+    turn_of,
+)
 from kinegraph.slot_conditioning import SlotEncoder
 from kinegraph.text.parser import LazyParser, check_caption
 from kinegraph.text.tokenizer import CaptionTokenizer
@@ -544,7 +553,10 @@ class MotionPipeline:
                 negative weight is what must not happen. It takes what both have in common, too:
                 -0.5 beside something alike ("walks", not "runs"), -1 against an action that the rest names.
             method: "latent" adds predictions (Eq. 7, 8), "semantic" averages attention (Eq. 9), "fused" blends both
-                with the joint text (Eq. 10) and takes away what is negated (Eq. 8).
+                with the joint text (Eq. 10) and takes away what is negated (Eq. 8). "parts" samples each concept alone
+                and joins legs, trunk and arms of those that do most with them (`part_composition`): surest where they
+                move different parts of the body. It takes weights of 1 alone, no text, lambdas, agd or constraints,
+                and calls no on_level.
             text: the joint text of "fused"; None joins the positive concepts with "while".
             lambdas: of "fused": shares of latent, semantic and joint text; default (0.3, 0.3, 0.4).
             agd: step sizes (gamma_attn, gamma_reg) of adaptive gradient descent (Eq. 3, 4), each 0 to 1: EnergyMoGen
@@ -559,6 +571,17 @@ class MotionPipeline:
             Cancelled, NonFiniteError: as in `generate`.
         """
         deadline = _check_call(timeout, on_step, on_level, strict=strict)
+        if method == PARTS:
+            from kinegraph.part_composition import check_parts, compose_parts
+
+            unused = {"text": text, "lambdas": lambdas, "agd": agd, "constraints": constraints or None}
+            checked = check_parts(concepts, unused)
+            unknown = self.find_unknown(*(concept.text for concept in checked), strict=strict)
+            sampling: dict[str, Any] = {"steps": steps, "guidance": guidance, "foot_fix": foot_fix, "space": space}
+            options = resolve_options(self.manifest, seconds=seconds, seed=seed, **sampling)
+            own_length, watch = seconds is None, deadline.watch(on_step)
+            made = compose_parts(self, checked, options, sampling, watch, own_length=own_length)
+            return replace(made, unknown=unknown)
         spec = validate_composition(concepts, method, text, lambdas, agd)
         options = resolve_options(
             self.manifest, seconds=seconds, seed=seed, steps=steps, guidance=guidance, foot_fix=foot_fix, space=space
@@ -572,6 +595,7 @@ class MotionPipeline:
         caption = spec.joint.caption if isinstance(spec.joint, SemanticGraph) else spec.joint
         on_latent = self._on_latent(on_level, options, caption)
         notes = tuple(dict.fromkeys(note for graph in plan.graphs for note in self._notes_of(graph)))
+        notes += (MANY_AT_ONCE,) if len(spec.concepts) > 2 else ()
         watch = deadline.watch(on_step)
         clip = pipe._decode_sample(conditions, plan.weights, options, caption, wanted, watch, on_latent)
         return replace(clip, unknown=unknown, notes=(*notes, *clip.notes))
@@ -878,7 +902,9 @@ class MotionPipeline:
         if len(graphs) > 1 and not in_order:
             return _EncodedSentence(graph, (replace(whole, notes=(*whole.notes, AT_ONCE)),))
         if len(graphs) == 1:
-            return _EncodedSentence(graph, (whole,))
+            together = [action for action in graph.actions if not action.negated and action.weight > 0]
+            told = (*whole.notes, MANY_AT_ONCE) if len(together) > 2 else whole.notes
+            return _EncodedSentence(graph, (replace(whole, notes=told),))
         parts = [self._encode_part(part, options, own_length=True, is_known=is_known) for part in graphs]
         is_free = own_length and whole.is_timed  # the lengths in words are those of the parts
         total = sum(part.options.frames for part in parts) if is_free else whole.options.frames

@@ -45,6 +45,11 @@ AT_ONCE: Final = (
     "`generate_timeline` makes them one by one, under constraints too"
 )
 """Note for such a sentence with constraints, or in an edit."""
+MANY_AT_ONCE: Final = (
+    "three actions and more at once seldom all happen; `compose` with the method 'parts' makes each with its part of "
+    "the body"
+)
+"""Note for sentences and compositions of so many."""
 SECONDS_PER_STEP: Final = 0.55
 """Length that one step of a walk takes."""
 _TOLD: Final = re.compile(r"(?:an?|the|one|some(?:one|body)|he|she|it|they)\b", re.IGNORECASE)

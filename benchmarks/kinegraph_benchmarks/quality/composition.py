@@ -43,6 +43,7 @@ METHODS: Final[Mapping[str, Mapping[str, Any]]] = {
     "semantic": {"method": "semantic"},
     "0.1/0.7/0.2": {"method": "fused", "lambdas": PAPER_LAMBDAS},
     "default": {},
+    "parts": {"method": "parts"},
 }
 """Options of `compose` by the name of a row."""
 SENTENCE: Final = "one sentence"

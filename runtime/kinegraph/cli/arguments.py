@@ -80,7 +80,7 @@ def add_compose(parser: argparse.ArgumentParser) -> None:
         metavar="TEXT[:WEIGHT]",
         help="a motion that should not happen; default weight 1",
     )
-    parser.add_argument("--method", default="fused", help="latent, semantic or fused (default)")
+    parser.add_argument("--method", default="fused", help="latent, semantic, fused (default) or parts")
     parser.add_argument("--text", help="the joint sentence of fused; default: all --and joined with 'while'")
     parser.add_argument(
         "--lambdas", type=_floats, metavar="L,S,M", help="shares of latent, semantic and joint text in fused"

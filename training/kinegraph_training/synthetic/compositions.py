@@ -17,9 +17,10 @@ import numpy as np
 
 from kinegraph.arrays import FloatArray
 from kinegraph.errors import InvalidInputError
+from kinegraph.motion.body_parts import ARMS, CHEST, chest_heading, rotate_about_y
 from kinegraph.motion.features import features_from_joints, joints_from_features
 from kinegraph.motion.postprocess import enforce_bone_lengths
-from kinegraph.motion.skeleton import JOINT_INDEX, bone_lengths, facing_angle, start_at_origin
+from kinegraph.motion.skeleton import bone_lengths, facing_angle, start_at_origin
 from kinegraph_training.data.clips import MotionClip, mirrored_label
 from kinegraph_training.metrics import FPS
 from kinegraph_training.synthetic.caption_grammar import (
@@ -31,9 +32,7 @@ from kinegraph_training.synthetic.caption_grammar import (
 )
 from kinegraph_training.synthetic.gestures import MADE, make_gesture
 
-LEFT_ARM = tuple(JOINT_INDEX[f"left_{name}"] for name in ("collar", "shoulder", "elbow", "wrist"))
-RIGHT_ARM = tuple(JOINT_INDEX[f"right_{name}"] for name in ("collar", "shoulder", "elbow", "wrist"))
-CHEST = JOINT_INDEX["spine3"]
+LEFT_ARM, RIGHT_ARM = ARMS["left arm"], ARMS["right arm"]
 BLEND = 8
 """Frames (0.4 s) over which two motions are faded into each other."""
 MAX_SQUEEZE = 1.6
@@ -97,19 +96,6 @@ def resample_linear(joints: FloatArray, frames: int) -> FloatArray:
     low = np.minimum(position.astype(int), len(joints) - 2)
     fraction = (position - low)[:, None, None].astype(np.float32)
     return joints[low] * (1 - fraction) + joints[low + 1] * fraction
-
-
-def chest_heading(joints: FloatArray) -> FloatArray:
-    """Compute the heading (t,) of the chest about +Y from the line between the collars, whatever the arms do."""
-    across = joints[:, RIGHT_ARM[0]] - joints[:, LEFT_ARM[0]]
-    return np.unwrap(np.arctan2(across[:, 2], -across[:, 0])).astype(np.float32)
-
-
-def rotate_about_y(vectors: FloatArray, angle: FloatArray) -> FloatArray:
-    """Rotate vectors (t, n, 3) by +angle (t,) about Y."""
-    cos, sin = np.cos(angle)[:, None], np.sin(angle)[:, None]
-    x, z = vectors[..., 0], vectors[..., 2]
-    return np.stack([cos * x + sin * z, vectors[..., 1], cos * z - sin * x], axis=-1)
 
 
 def splice(carrier: FloatArray, gesture: MotionClip, rng: np.random.Generator) -> FloatArray:

@@ -1,0 +1,98 @@
+"""Compose sentences by parts of the body: each is sampled alone, and legs, trunk and arms are joined.
+
+The operators of EnergyMoGen (Eq. 7-10) look for one motion in which all happens, and networks were shown few. What
+moves different parts of the body needs no such search (`motion.body_parts`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+from kinegraph.clip import Clip
+from kinegraph.concepts import PARTS, Concept, joint_caption, validate_composition, validate_concepts
+from kinegraph.diffusion.sampling import OnStep, subrange_progress
+from kinegraph.errors import InvalidInputError
+from kinegraph.graph import SemanticGraph
+from kinegraph.motion.body_parts import choose_parts, join_parts
+from kinegraph.options import GenerateOptions
+from kinegraph.validation import short_repr
+
+if TYPE_CHECKING:
+    from kinegraph.pipeline import MotionPipeline
+
+
+def check_parts(concepts: object, unused: Mapping[str, object]) -> tuple[Concept, ...]:
+    """Check what is composed by parts of the body.
+
+    Args:
+        concepts: sentences, graphs or `Concept`s of weight 1.
+        unused: arguments of `compose` that this method has no use for, by name; None where they are not given.
+
+    Raises:
+        InvalidInputError: another weight than 1, or an argument that is for other methods.
+    """
+    checked = validate_concepts(concepts)
+    for name, value in unused.items():
+        if value is not None:
+            raise InvalidInputError(f"{name} is for other methods than {PARTS!r}; leave it out, or take another method")
+    for concept in checked:
+        if concept.weight != 1:
+            raise InvalidInputError(
+                f"method {PARTS!r} weighs and negates nothing, and {short_repr(concept.caption)} has the weight "
+                f"{concept.weight:g}; leave it out, or take another method"
+            )
+    return checked
+
+
+def compose_parts(
+    pipe: MotionPipeline,
+    concepts: Sequence[Concept],
+    options: GenerateOptions,
+    sampling: Mapping[str, Any],
+    on_step: OnStep | None,
+    *,
+    own_length: bool,
+) -> Clip:
+    """Sample each concept alone, from the same seed, and join the parts of the body that each does most with.
+
+    Args:
+        pipe: the bundle.
+        concepts: of `check_parts`.
+        options: of the clip.
+        sampling: keywords of `MotionPipeline.generate`: steps, guidance and so on.
+        on_step: called after every step of every concept.
+        own_length: whether the concepts tell the length of the clip, as in `MotionPipeline.compose`.
+
+    Returns:
+        The clip; a note tells of a concept that has no part of the body.
+
+    Raises:
+        Cancelled, NonFiniteError: as in `MotionPipeline.generate`.
+    """
+    if own_length:
+        spec = validate_composition(concepts, "latent", None, None, None)
+        _, _, options = pipe.encode_composition(spec, options, own_length=True)
+    clips = [
+        pipe.generate(
+            concept.text,
+            seconds=options.seconds,
+            seed=options.seed,
+            on_step=subrange_progress(on_step, index, len(concepts)),
+            **sampling,
+        )
+        for index, concept in enumerate(concepts)
+    ]
+    chosen = choose_parts([clip.joints for clip in clips])
+    left_out = [concept.caption for index, concept in enumerate(concepts) if index not in chosen.values()]
+    notes = [note for clip in clips for note in clip.notes]
+    notes += [f"{caption!r}: the others do more with every part of the body, so it is left out" for caption in left_out]
+    joint = joint_caption(concepts)
+    return Clip(
+        join_parts([clip.joints for clip in clips], chosen),
+        pipe.manifest.fps,
+        options.seed,
+        joint.caption if isinstance(joint, SemanticGraph) else joint,
+        clips[0].bundle,
+        notes=tuple(dict.fromkeys(notes)),
+    )

@@ -1,0 +1,171 @@
+"""Motions put together from parts of the body, and `compose(method="parts")`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from kinegraph import Cancelled, Concept, InvalidInputError, MotionPipeline, cli
+from kinegraph.constraints import Waypoint
+from kinegraph.motion.body_parts import (
+    ARMS,
+    CHEST,
+    LEGS,
+    TRUNK,
+    UPPER_BODY,
+    activity,
+    chest_heading,
+    choose_parts,
+    join_parts,
+    move_arm,
+    move_upper_body,
+    rotate_about_y,
+)
+from kinegraph.motion.skeleton import JOINT_INDEX, bone_lengths
+from kinegraph.request import MANY_AT_ONCE
+from support.motions import posed, stand, turn, walk
+from support.toy import with_parser
+
+pytest.importorskip("spacy")
+
+WALK, WAVE = "a person walks", "a person waves"
+HOW: dict[str, Any] = {"seconds": 2, "seed": 1}
+LOWER = [joint for joint in range(22) if joint not in UPPER_BODY]
+
+
+def raised(side: str, frames: int = 60) -> np.ndarray:
+    """Stand with one arm up."""
+    shoulder, angle = (17, 1.4) if side == "right" else (16, -1.4)
+    other = (16, 1.4) if side == "right" else (17, -1.4)
+    hanging = {other[0]: turn("z", -other[1])}
+    pose = posed(np.zeros(3), {shoulder: turn("z", -angle), **hanging})
+    pose[:, 1] -= pose[:, 1].min()
+    return np.repeat(pose[None], frames, axis=0).astype(np.float32)
+
+
+def test_each_part_is_of_the_motion_that_does_most_with_it() -> None:
+    motions = [raised("left"), walk(60), raised("right")]
+    assert choose_parts(motions) == {LEGS: 1, TRUNK: 1, "left arm": 0, "right arm": 2}
+    assert choose_parts([walk(60), stand(60, bow=0.8)])[TRUNK] == 1
+    assert set(choose_parts([walk(60), stand(60)]).values()) == {0}
+
+
+def test_activity_is_what_it_says() -> None:
+    assert activity(walk(60, speed=0.05), LEGS) > 0.04 > activity(stand(60), LEGS)
+    assert activity(stand(60), TRUNK) == pytest.approx(0, abs=1e-3)
+    up, hanging = (activity(raised("left"), arm) for arm in ("left arm", "right arm"))
+    assert up > 0.8 and hanging < 0.25
+
+
+@pytest.mark.parametrize("turning", [0.0, 0.03])
+def test_an_arm_turns_with_the_chest_and_keeps_its_bones(turning: float) -> None:
+    source, target = raised("left"), walk(60, turning=turning)
+    moved = move_arm(source, target, "left arm")
+    others = [joint for joint in range(22) if joint not in ARMS["left arm"]]
+    assert np.array_equal(moved[:, others], target[:, others])
+    for frame in (0, 30, 59):  # the arm of the source, turned by hand to where the chest of the target faces
+        angle = float(chest_heading(target)[frame] - chest_heading(source)[frame])
+        cos, sin = np.cos(angle), np.sin(angle)
+        arm = source[frame, ARMS["left arm"]] - source[frame, CHEST]
+        by_hand = np.stack([cos * arm[:, 0] + sin * arm[:, 2], arm[:, 1], cos * arm[:, 2] - sin * arm[:, 0]], axis=-1)
+        assert moved[frame, ARMS["left arm"]] - moved[frame, CHEST] == pytest.approx(by_hand, abs=1e-4)
+
+
+def test_what_is_above_the_hips_moves_as_one() -> None:
+    bowing, walking = stand(60, bow=0.8), walk(60, turning=0.03)
+    moved = move_upper_body(bowing, walking)
+    assert np.array_equal(moved[:, LOWER], walking[:, LOWER])
+    head = JOINT_INDEX["head"]
+    assert moved[:, head, 1] - moved[:, 0, 1] == pytest.approx(bowing[:, head, 1] - bowing[:, 0, 1], abs=1e-4)
+
+
+def test_joined_parts_have_the_bones_of_the_legs() -> None:
+    motions = [raised("left"), walk(60), raised("right")]
+    joined = join_parts(motions, choose_parts(motions))
+    assert bone_lengths(joined) == pytest.approx(bone_lengths(walk(60)), abs=1e-3)
+    assert np.abs(joined[:, LOWER] - walk(60)[:, LOWER]).max() < 2e-3
+    wrists = [JOINT_INDEX[f"{side}_wrist"] for side in ("left", "right")]
+    assert (joined[:, wrists, 1] > joined[:, [CHEST], 1]).all()
+
+
+def test_rotation_about_y_is_to_the_left() -> None:
+    ahead = np.array([[[0.0, 0.0, 1.0]]], dtype=np.float32)
+    assert rotate_about_y(ahead, np.array([np.pi / 2]))[0, 0] == pytest.approx([1.0, 0.0, 0.0], abs=1e-6)
+
+
+# Composition
+
+
+@pytest.fixture(scope="module")
+def toy(tmp_path_factory: pytest.TempPathFactory) -> MotionPipeline:
+    return MotionPipeline.load(with_parser(tmp_path_factory.mktemp("toy") / "bundle"), threads=1)
+
+
+def test_parts_are_those_of_the_clips_of_each_concept(toy: MotionPipeline) -> None:
+    clip = toy.compose([WALK, WAVE], method="parts", **HOW)
+    alone = [toy.generate(text, **HOW).joints for text in (WALK, WAVE)]
+    assert np.array_equal(clip.joints, join_parts(alone, choose_parts(alone)))
+    assert (clip.text, clip.seed, clip.frames) == (f"{WALK} while {WAVE}", 1, 40)
+
+
+@pytest.mark.usefixtures("toy_by_default")
+def test_the_command_line_composes_parts(here: Path) -> None:
+    words = ["--and", WALK, "--and", WAVE, "--method", "parts", "--steps", "2", "--seconds", "1", "--seed", "3"]
+    assert cli.main(["compose", *words, "-o", "x.npz"]) == 0
+    with np.load(here / "x.npz") as stored:
+        assert stored["joints"].shape == (20, 22, 3) and str(stored["text"]) == f"{WALK} while {WAVE}"
+
+
+def test_three_at_once_are_told_of_parts(toy: MotionPipeline) -> None:
+    three, two = f"{WALK}, raises the left hand and waves the right hand", "a person walks and waves the right hand"
+    assert MANY_AT_ONCE in toy.generate(three, **HOW).notes and MANY_AT_ONCE not in toy.generate(two, **HOW).notes
+    concepts = [WALK, WAVE, "a person nods"]
+    assert MANY_AT_ONCE in toy.compose(concepts, **HOW).notes
+    assert MANY_AT_ONCE not in toy.compose(concepts[:2], **HOW).notes
+    assert MANY_AT_ONCE not in toy.compose(concepts, method="parts", **HOW).notes
+
+
+def test_one_concept_is_its_own_clip(toy: MotionPipeline) -> None:
+    clip = toy.compose([WALK], method="parts", **HOW)
+    assert np.abs(clip.joints - toy.generate(WALK, **HOW).joints).max() < 1e-4
+
+
+def test_a_concept_without_a_part_is_told(toy: MotionPipeline) -> None:
+    same = toy.compose([WALK, toy.parse(WALK)], method="parts", **HOW)
+    assert same.notes[-1] == f"{WALK!r}: the others do more with every part of the body, so it is left out"
+
+
+def test_the_concepts_tell_the_length(toy: MotionPipeline) -> None:
+    lengths = [toy.compose([WALK, WAVE], method=method, seed=1).frames for method in ("latent", "parts")]
+    assert lengths[0] == lengths[1]
+
+
+def test_every_step_of_every_concept_is_reported(toy: MotionPipeline) -> None:
+    done: list[tuple[int, int]] = []
+    toy.compose([WALK, WAVE], method="parts", on_step=lambda step: done.append((step.done, step.total)), **HOW)
+    assert [step for step, _ in done] == list(range(1, done[0][1] + 1)) and {total for _, total in done} == {len(done)}
+    with pytest.raises(Cancelled):
+        toy.compose([WALK, WAVE], method="parts", on_step=lambda step: step.done < 3, **HOW)
+
+
+@pytest.mark.parametrize(
+    ("concepts", "options", "message"),
+    [
+        ([WALK, Concept(WAVE, 0.5)], {}, r"'a person waves' has the weight 0\.5"),
+        ([WALK, Concept(WAVE, -1.0)], {}, "weighs and negates nothing"),
+        ([WALK, WAVE], {"text": WALK}, "text is for other methods"),
+        ([WALK, WAVE], {"lambdas": (0.3, 0.3, 0.4)}, "lambdas is for other methods"),
+        ([WALK, WAVE], {"agd": (0.1, 0.1)}, "agd is for other methods"),
+        ([WALK, WAVE], {"constraints": [Waypoint(1.0, (0.0, 1.0))]}, "constraints is for other methods"),
+        ([], {}, "1 to 8 concepts"),
+        ([WALK, WAVE], {"seconds": 100}, "seconds"),
+    ],
+)
+def test_what_parts_cannot_do_is_refused(
+    toy: MotionPipeline, concepts: list[Any], options: dict[str, Any], message: str
+) -> None:
+    with pytest.raises(InvalidInputError, match=message):
+        toy.compose(concepts, method="parts", **{**HOW, **options})
