@@ -125,6 +125,7 @@ def test_edges_weigh_how_far_a_turn_goes_where_that_is_not_said(parser: GraphPar
     graph = parser.parse("a person walks and turns to the left")
     assert read_turn(with_weight(graph, "to the left", 0.5)) == Turn(UNSAID / 2, 1, False)
     assert read_turn(with_weight(graph, "turns", 2.0)) == Turn(2 * UNSAID, 1, False)
+    assert read_turn(with_weight(graph, "to the left", 0.0)) == Turn(UNSAID, 0, False)
     said = parser.parse("a person turns to the left by 90 degrees")
     assert read_turn(with_weight(said, "to the left", 0.5)) == Turn(90.0, 1, True)
 

@@ -129,7 +129,7 @@ def _turn_of(action: Action, clause: str) -> Turn | None:
         return Turn(degrees, int(left) - int(right), True)
     if goes_on or (left and right):
         return None
-    weights = [node.weight for node in action.arguments if _names_side(node.text)]
+    weights = [node.weight for node in action.arguments if node.weight > 0 and _names_side(node.text)]
     usual = SLIGHT if _SLIGHT.search(clause) else UNSAID
     return Turn(usual * action.weight * math.prod(weights), int(left) - int(right), False)
 
