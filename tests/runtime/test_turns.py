@@ -177,6 +177,15 @@ def test_the_frames_that_are_shown_turn_as_far() -> None:
     assert net_turn(turned[20:60]) == pytest.approx(90, abs=0.1)
 
 
+def test_a_body_that_turns_on_its_place_stays_there() -> None:
+    small_circle = bend(walk(80, speed=0.01).astype(np.float32), np.full(80, np.radians(720) / 79))
+    turned = scale_turn(small_circle, 20, 0.125)
+    assert net_turn(turned) == pytest.approx(90, abs=3)
+    assert turned[:, 0] == pytest.approx(small_circle[:, 0], abs=1e-3)
+    walking = scale_turn(turning(300), 20, 0.3)
+    assert np.abs(walking[:, 0] - turning(300)[:, 0]).max() > 0.5
+
+
 def test_smoothing_keeps_both_ends() -> None:
     values = np.random.default_rng(0).normal(size=60).cumsum()
     smoothed = smooth_with_ends(values, 10)

@@ -12,7 +12,7 @@ import numpy as np
 
 from kinegraph.arrays import DoubleArray, FloatArray
 from kinegraph.motion.features import features_from_joints, joints_from_features
-from kinegraph.motion.skeleton import facing_angle
+from kinegraph.motion.skeleton import HORIZONTAL, facing_angle
 
 Span = tuple[int, int]
 
@@ -22,6 +22,8 @@ BEYOND: Final = 0.4
 """Share of a turn by which one that is held back goes further at most."""
 BEYOND_SCALE: Final = 1.5
 """How far beyond itself, in its own size, a turn is made that goes further by 63 % of that."""
+ON_THE_SPOT: Final = 0.5
+"""Metres from its start within which a body turns on its place."""
 SMOOTH_SECONDS: Final = 0.5
 """Deviation of the Gaussian window that tells a turn from the sway of hips and shoulders at each step."""
 
@@ -74,7 +76,8 @@ def hold_back_turn(joints: FloatArray, fps: float, degrees: float, side: int, sh
 def scale_turn(joints: FloatArray, fps: float, factor: float, shown: Span | None = None) -> FloatArray:
     """Turn `factor` times as far, at each moment in proportion to how fast the motion turns there.
 
-    The sway of the body at each step, which is no turn, stays.
+    The sway of the body at each step, which is no turn, stays. A body that turns on its place stays there: steps along
+    a small circle would lead away where they turn less.
 
     Args:
         joints, fps, shown: see `turn_by`.
@@ -86,7 +89,10 @@ def scale_turn(joints: FloatArray, fps: float, factor: float, shown: Span | None
     if (turn[last] - turn[first]) / made < 0.5:  # most of it happens where the frames that are shown begin or end
         turn = heading
     share = (factor - 1.0) * made / (turn[last] - turn[first])
-    return bend(joints, np.append(share * np.diff(turn), 0.0))
+    bent = bend(joints, np.append(share * np.diff(turn), 0.0))
+    if _reach(joints) < min(ON_THE_SPOT, _reach(bent)):
+        bent += (joints[:, :1] - bent[:, :1]) * HORIZONTAL.astype(np.float32)
+    return bent
 
 
 def smooth_with_ends(values: DoubleArray, deviation: float) -> DoubleArray:
@@ -103,6 +109,11 @@ def _turned_to(joints: FloatArray, side: int, shown: Span | None) -> float:
     first, last = _ends(joints, shown)
     made = net_turn(joints[first : last + 1])
     return made * side if side else abs(made)
+
+
+def _reach(joints: FloatArray) -> float:
+    """Measure how far the pelvis gets from where it started, metres."""
+    return float(np.linalg.norm((joints[:, 0] - joints[0, 0]) * HORIZONTAL, axis=1).max())
 
 
 def _ends(joints: FloatArray, shown: Span | None) -> Span:
