@@ -59,7 +59,7 @@ _KNOWN_SUBJECT: Final = re.compile(
 )
 """Beginnings of sentences about somebody whom training captions name: a quick look, too."""
 _TURNING: Final = re.compile(
-    r"turn|rotat|pivot|swivel|veer|swerve|spin|twirl|whirl|about[ -]?face|bend|curve", re.IGNORECASE
+    r"turn|rotat|pivot|swivel|veer|swerve|spin|twirl|whirl|about[ -]?face|bend|curve|circle|\bring\b", re.IGNORECASE
 )
 _WORDINGS: Final = re.compile("|".join(pattern for pattern, _ in WORDINGS), re.IGNORECASE)
 

@@ -6,8 +6,8 @@
 
 Clips turn as far as their sentence says (`kinegraph.text.turns`, `kinegraph.motion.turning`); *as made* is without
 that. A turn is the change of heading from the first frame to the last, towards the side that is asked for. *Near* is
-the share of clips within 30 % of what is asked for: a quarter turn where a sentence does not say how far, and for
-circles the median of captured ones. Writes JSON with every turn, and a Markdown table beside it.
+the share of clips within 30 % of what is asked for: a quarter turn where a sentence does not say how far, and one
+round for a circle. Writes JSON with every turn, and a Markdown table beside it.
 """
 
 from __future__ import annotations
@@ -42,8 +42,8 @@ class Kind:
     texts: tuple[str, ...]
     """With {side}, if they name one."""
     seconds: float
-    degrees: float | None = None
-    """What counts as asked for; None is what captured clips have in the median."""
+    degrees: float
+    """What counts as asked for."""
     labels: tuple[str, ...] = ()
     """Labels of captured clips of such turns, with {side}."""
 
@@ -71,7 +71,7 @@ KINDS: Final[Mapping[str, Kind]] = {
         ("a person turns all the way around to the {side}", "a person turns {side} by 360 degrees"),
         5.0, 360.0, ("turn-in-place-{side}",),
     ),
-    "walks in a circle": Kind(("a person walks in a circle to the {side}",), 8.0, None, ("walk-circle-{side}",)),
+    "walks in a circle": Kind(("a person walks in a circle to the {side}",), 8.0, 360.0, ("walk-circle-{side}",)),
 }  # fmt: skip
 
 
@@ -125,13 +125,12 @@ def summarise(turns: Sequence[float], asked: float) -> dict[str, Any]:
     return {"median": float(median), "low": float(low), "high": float(high), "near": near, "turns": list(turns)}
 
 
-def measure(pipe: MotionPipeline, captured: Mapping[str, Sequence[float]], seeds: int) -> dict[str, Any]:
+def measure(pipe: MotionPipeline, seeds: int) -> dict[str, Any]:
     """Measure every kind with a pipeline, as made and as given."""
     rows = {}
     for name, kind in KINDS.items():
-        asked = kind.degrees if kind.degrees is not None else float(np.median(captured[name]))
         runs = {"made": as_made(pipe), "given": pipe}
-        rows[name] = {run: summarise(generated_turns(way, kind, seeds), asked) for run, way in runs.items()}
+        rows[name] = {run: summarise(generated_turns(way, kind, seeds), kind.degrees) for run, way in runs.items()}
     return rows
 
 
@@ -168,9 +167,7 @@ def main() -> None:
     pipes = [MotionPipeline.load(bundle, threads=1) for bundle in options.bundles]
     clips = [clip for split in SPLITS for clip in read_split(options.data, split)]
     captured = {name: captured_turns(clips, kind) for name, kind in KINDS.items()}
-    bundles = {
-        f"{pipe.manifest.name} {pipe.manifest.version}": measure(pipe, captured, options.seeds) for pipe in pipes
-    }
+    bundles = {f"{pipe.manifest.name} {pipe.manifest.version}": measure(pipe, options.seeds) for pipe in pipes}
     result = {"seeds": options.seeds, "captured": captured, "bundles": bundles}
     write_report(options.out, result, markdown_table(result))
 

@@ -44,6 +44,10 @@ _NOUN: Final = re.compile(
     r"|\b(?:walk|path|way|course|run)\b[^,.;]*? (?:bends|curves)\b",
     re.IGNORECASE,
 )
+_CIRCLE: Final = re.compile(
+    r"\b(?:in|around|along|walk\w*|run\w*|jog\w*) (?:an? |the )?(?:\w+ ){0,2}(?:circle|ring)\b", re.IGNORECASE
+)
+"""One round, more or less."""
 _MEASURE: Final = re.compile(r"degree|°|\b(?:turn|circle|way\b|quarter|half|u\b|rotation|revolution)", re.IGNORECASE)
 """Objects of "turns" that are no things."""
 _OTHER_SENSE: Final = re.compile(
@@ -55,7 +59,7 @@ _WITHOUT_END: Final = re.compile(
     r"\b(?:ke(?:ep|eps|eping|pt)|continu\w+|repeated\w*|again and again|always|several|many|times|twice|thrice"
     r"|both ways|to and fro|back and forth|left and (?:to the )?right|right and (?:to the )?left|this way"
     r"|(?:a?round|turns) and (?:a?round|turns)|"
-    r"(?<!full )(?<!half )(?<!complete )(?<!whole )(?:circles?|rings?|loops?|spirals?))\b",
+    r"circles|rings|loops?|spirals?)\b",
     re.IGNORECASE,
 )
 """Words of turns whose size they do not fix, and of paths."""
@@ -117,20 +121,21 @@ def _clause(caption: str, actions: Sequence[Action], index: int) -> str:
 
 def _turn_of(action: Action, clause: str) -> Turn | None:
     """Read the turn of one action."""
-    has_noun = _NOUN.search(clause) is not None
+    is_circle = _CIRCLE.search(clause) is not None
+    has_noun = is_circle or _NOUN.search(clause) is not None
     is_turn = has_noun or (_VERB.match(action.text) is not None and not _is_of_something_else(action, clause))
     goes_on = _TO_A_SIDE.match(action.text) is not None
     if not (is_turn or goes_on):
         return None
     sides = _SIDES_OF_THE_BODY.sub("", _AGAINST_THE_CLOCK.sub("left", clause))
     left, right = _LEFT.search(sides) is not None, _RIGHT.search(sides) is not None
-    degrees = _said_degrees(clause if is_turn else _AROUND.sub("", clause))
+    degrees = _said_degrees(clause if is_turn and not is_circle else _AROUND.sub("", clause))
     if degrees is not None:
         return Turn(degrees, int(left) - int(right), True)
-    if goes_on or (left and right):
+    if (goes_on and not is_circle) or (left and right):
         return None
     weights = [node.weight for node in action.arguments if node.weight > 0 and _names_side(node.text)]
-    usual = SLIGHT if _SLIGHT.search(clause) else UNSAID
+    usual = FULL if is_circle else SLIGHT if _SLIGHT.search(clause) else UNSAID
     return Turn(usual * action.weight * math.prod(weights), int(left) - int(right), False)
 
 
