@@ -18,6 +18,7 @@ from kinegraph.bundle.reader import DEFAULT_BUNDLE, SHARED_FILES, read_bundle, t
 from kinegraph.edits import with_weight, without
 from kinegraph.energy import energy_maps
 from kinegraph.motion.skeleton import JOINT_INDEX, bone_lengths
+from kinegraph.motion.turning import net_turn
 
 pytestmark = pytest.mark.release
 
@@ -113,6 +114,31 @@ def test_weight_zero_is_nearly_deletion(pipe: MotionPipeline) -> None:
     graph = pipe.parse("a person walks slowly to the left")
     gone = pipe.generate(without(graph, "to the left"), **FEW).joints
     assert_nearly_same(pipe.generate(with_weight(graph, "to the left", 0.0), **FEW).joints, gone)
+
+
+@pytest.mark.parametrize(
+    ("text", "degrees", "most"),
+    [
+        ("a person turns left by 45 degrees", 45, 46),
+        ("a person turns right by 90 degrees", -90, 91),
+        ("a person turns left by 180 degrees", 180, 181),
+        ("a person walks and turns left", 90, 125),
+        ("a person turns right by 90 degrees, then walks forward", -90, 105),
+    ],
+)
+def test_turns_go_as_far_as_the_sentence_says(pipe: MotionPipeline, text: str, degrees: float, most: float) -> None:
+    clips = [pipe.generate(text, seconds=5, seed=seed) for seed in range(3)]
+    turned = float(np.median([net_turn(clip.joints) for clip in clips]))
+    assert 0.8 * abs(degrees) < turned * np.sign(degrees) < most
+
+
+def test_three_at_once_happen_by_parts_of_the_body(pipe: MotionPipeline) -> None:
+    concepts = [WALK, "a person raises the left hand", WAVE]
+    for seed in range(3):
+        clip = pipe.compose(concepts, method="parts", seconds=4, seed=seed)
+        head, left, right = (clip.joints[:, JOINT_INDEX[name], 1] for name in ("head", "left_wrist", "right_wrist"))
+        assert (left > head).any() and (right > head - 0.2).any() and clip.notes == ()
+        assert np.linalg.norm(clip.joints[-1, 0] - clip.joints[0, 0]) > 1.5
 
 
 def test_adaptive_gradient_descent_moves_the_motion_by_its_step_size(pipe: MotionPipeline) -> None:
