@@ -10,6 +10,7 @@ import pytest
 
 from kinegraph import Cancelled, Concept, InvalidInputError, MotionPipeline, cli
 from kinegraph.constraints import Waypoint
+from kinegraph.energy import energy_maps
 from kinegraph.motion.body_parts import (
     ARMS,
     CHEST,
@@ -109,6 +110,11 @@ def test_parts_are_those_of_the_clips_of_each_concept(toy: MotionPipeline) -> No
     alone = [toy.generate(text, **HOW).joints for text in (WALK, WAVE)]
     assert np.array_equal(clip.joints, join_parts(alone, choose_parts(alone)))
     assert (clip.text, clip.seed, clip.frames) == (f"{WALK} while {WAVE}", 1, 40)
+
+
+def test_parts_have_no_energy(toy: MotionPipeline) -> None:
+    with pytest.raises(InvalidInputError, match="has no energy; take another method"):
+        energy_maps(toy, [WALK, WAVE], method="parts", **HOW)
 
 
 @pytest.mark.usefixtures("toy_by_default")
