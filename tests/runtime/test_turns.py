@@ -14,12 +14,12 @@ from kinegraph.constraints import Waypoint
 from kinegraph.decoding import tell_turn, turn_as_said
 from kinegraph.edits import with_weight
 from kinegraph.motion.skeleton import bone_lengths, facing_angle
-from kinegraph.motion.turning import bend, hold_back_turn, net_turn, scale_turn, smooth_with_ends, turn_by
+from kinegraph.motion.turning import bend, has_heading, hold_back_turn, net_turn, scale_turn, smooth_with_ends, turn_by
 from kinegraph.options import resolve_options
 from kinegraph.request import turn_of
 from kinegraph.text.quantities import find_degrees
 from kinegraph.text.turns import FULL, HALF, QUARTER, SLIGHT, UNSAID, Turn, read_turn
-from support.motions import walk
+from support.motions import turn, walk
 from support.toy import with_parser
 
 pytest.importorskip("spacy")
@@ -82,6 +82,7 @@ def test_angles_are_read(text: str, degrees: list[float]) -> None:
         ("a person turns slightly to the left", SLIGHT, 1, False),
         ("a person runs and turns around the corner", UNSAID, 0, False),
         ("the man turns to face left", UNSAID, 1, False),
+        ("a person keeps the hands down and turns left", UNSAID, 1, False),
         ("a person walks in a circle to the left", FULL, 1, False),
         ("someone runs around in a wide circle", FULL, 0, False),
         ("a person walks in half a circle", HALF, 0, True),
@@ -157,6 +158,15 @@ def test_a_motion_turns_exactly_as_far_as_is_said(made: float) -> None:
 def test_a_motion_that_hardly_turns_or_turns_the_other_way_is_left() -> None:
     for joints, side in ((turning(30), 1), (turning(-120), 1), (turning(44), 0)):
         assert turn_by(joints, 20, 90, side) is joints
+
+
+def test_a_body_that_rolls_over_is_left() -> None:
+    rolling = np.stack(
+        [each @ turn("z", angle).T for each, angle in zip(turning(300), np.linspace(0, 2, 80), strict=True)]
+    )
+    rolling = rolling.astype(np.float32)
+    assert has_heading(turning(300)) and not has_heading(rolling)
+    assert turn_by(rolling, 20, 90, 0) is rolling is hold_back_turn(rolling, 20, 85, 0)
 
 
 def test_the_sway_at_each_step_is_no_turn() -> None:

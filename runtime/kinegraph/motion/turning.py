@@ -12,7 +12,7 @@ import numpy as np
 
 from kinegraph.arrays import DoubleArray, FloatArray
 from kinegraph.motion.features import features_from_joints, joints_from_features
-from kinegraph.motion.skeleton import HORIZONTAL, facing_angle
+from kinegraph.motion.skeleton import HORIZONTAL, JOINT_INDEX, facing_angle
 
 Span = tuple[int, int]
 
@@ -46,8 +46,18 @@ def net_turn(joints: FloatArray) -> float:
     return float(np.degrees(heading[-1] - heading[0]))
 
 
+def has_heading(joints: FloatArray) -> bool:
+    """Tell whether it is clear all the time where a body faces, as it is not while one falls or rolls on its side.
+
+    The line through the hips stays at least half as long over the floor as it mostly is.
+    """
+    line = (joints[:, JOINT_INDEX["left_hip"]] - joints[:, JOINT_INDEX["right_hip"]]) * HORIZONTAL
+    length = np.linalg.norm(line, axis=1)
+    return bool(length.min() > 0.5 * np.median(length))
+
+
 def turn_by(joints: FloatArray, fps: float, degrees: float, side: int, shown: Span | None = None) -> FloatArray:
-    """Let a motion turn by exactly so much, if it turns that way by half of it at least; else leave it.
+    """Let a motion with a heading turn by exactly so much, if it turns that way by half of it at least.
 
     Args:
         joints: (frames, 22, 3) metres, from the origin on and facing +Z.
@@ -57,7 +67,8 @@ def turn_by(joints: FloatArray, fps: float, degrees: float, side: int, shown: Sp
         shown: first frame and the one behind the last of those in which the turn is measured; None is all.
     """
     made = _turned_to(joints, side, shown)
-    return scale_turn(joints, fps, degrees / made, shown) if made * MOST_LONGER >= degrees else joints
+    is_meant = made * MOST_LONGER >= degrees and has_heading(joints)
+    return scale_turn(joints, fps, degrees / made, shown) if is_meant else joints
 
 
 def hold_back_turn(joints: FloatArray, fps: float, degrees: float, side: int, shown: Span | None = None) -> FloatArray:
@@ -67,7 +78,7 @@ def hold_back_turn(joints: FloatArray, fps: float, degrees: float, side: int, sh
         joints, fps, degrees, side, shown: see `turn_by`.
     """
     made = _turned_to(joints, side, shown)
-    if made <= degrees:
+    if made <= degrees or not has_heading(joints):
         return joints
     further = BEYOND * (1.0 - np.exp(-(made / degrees - 1.0) / BEYOND_SCALE))
     return scale_turn(joints, fps, degrees * (1.0 + further) / made, shown)
