@@ -2,6 +2,7 @@
 
     split_sequence(graph)      "walk forward, then bow"       ->  "a person walks forward", "a person bows"
     in_third_person(graph)     "walk forward, then bow"       ->  "a person walks forward, then bows"
+    split_at_once(graph)       "a man walks while waving"     ->  "a man walks", "a man waves"
     split_negations(graph)     "a man walks without waving"   ->  "a man walks" and, negated, "a man waves"
     known_wording(graph)       "a person turns clockwise"     ->  "a person turns right"
     known_subject(graph, has)  "he waves", "a robot waves"    ->  "a person waves"
@@ -15,7 +16,7 @@ nothing but `InvalidGraphError`.
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import replace
 from itertools import pairwise
 from typing import Final
@@ -32,8 +33,10 @@ __all__ = [
     "in_third_person",
     "known_subject",
     "known_wording",
+    "split_at_once",
     "split_negations",
     "split_sequence",
+    "with_actions",
     "without_quantity",
 ]
 
@@ -181,6 +184,36 @@ def _told_alone(pieces: Pieces, action: Action) -> SemanticGraph:
     alone = replace(action, negated=False, arguments=tuple(sorted(arguments, key=lambda argument: argument.start)))
     told = write(pieces, [alone], unique(items))
     return name_subject(told) if subject is None else told
+
+
+# At once
+
+
+def split_at_once(graph: SemanticGraph) -> list[SemanticGraph]:
+    """Tell each action of a graph as a sentence of its own: "walks while waving" -> "a person walks", "a person waves".
+
+    Raises:
+        InvalidGraphError: a caption becomes longer than allowed.
+    """
+    pieces = Pieces(graph)
+    return [_ordered(_told_alone(pieces, action)) for action in graph.actions]
+
+
+def with_actions(graph: SemanticGraph, kept: Collection[int]) -> SemanticGraph | None:
+    """Leave out all actions but some, by their index in `graph.actions`, with their words; None if nothing is left.
+
+    Raises:
+        InvalidGraphError: the words that are left make no graph.
+    """
+    removed = [action for index, action in enumerate(graph.actions) if index not in kept]
+    left = _without_actions(Pieces(graph), removed)
+    return None if left is None else _ordered(left)
+
+
+def _ordered(graph: SemanticGraph) -> SemanticGraph:
+    """Number the actions of a graph from 0 on, as those of a sentence of its own."""
+    places = {order: place for place, order in enumerate(sorted({action.order for action in graph.actions}))}
+    return replace(graph, actions=tuple(replace(action, order=places[action.order]) for action in graph.actions))
 
 
 # Other words

@@ -39,6 +39,7 @@ from kinegraph.diffusion.composition import CompositionWeights
 from kinegraph.diffusion.sampling import OnStep, subrange_progress
 from kinegraph.errors import InvalidInputError, ModelError, UnknownWordsError
 from kinegraph.graph import SemanticGraph
+from kinegraph.interpretation import split_at_once, with_actions
 from kinegraph.limits import MAX_PARTS, MAX_SHARED, MAX_TAKES
 from kinegraph.motion.blending import blend_margins, stitch
 from kinegraph.options import (
@@ -59,6 +60,7 @@ from kinegraph.options import (
 )
 from kinegraph.request import (
     AT_ONCE,
+    MANY,
     MANY_AT_ONCE,
     NEVER_STOOD,
     STANDING,
@@ -115,6 +117,8 @@ class _EncodedPart:
     notes: tuple[str, ...]
     is_timed: bool
     """Whether the sentence says how long it takes."""
+    alone: tuple[_EncodedPart, ...] = ()
+    """Each of three actions and more at once, told alone; none of fewer."""
 
     @cached_property
     def conditions(self) -> Conditions:
@@ -287,7 +291,9 @@ class MotionPipeline:
         Negated actions ("without waving") are taken away (Eq. 8). A length in words ("for four seconds") holds where
         `seconds` is not given. Actions in order ("walks, then bows") are made one by one and joined. A turn goes as far
         as the sentence says ("by 90 degrees", "around"), and is held back where it does not say (`text.turns`,
-        `motion.turning`). What the sentence asks for and does not get stands in the clip's `notes`.
+        `motion.turning`). Three actions and more at once are sampled each alone, and their parts of the body joined,
+        where each has one (`motion.body_parts`). What the sentence asks for and does not get stands in the clip's
+        `notes`.
 
         Args:
             text: a sentence, or its graph; weighted edges count as `concepts.weighted_edge_terms` says.
@@ -595,7 +601,7 @@ class MotionPipeline:
         caption = spec.joint.caption if isinstance(spec.joint, SemanticGraph) else spec.joint
         on_latent = self._on_latent(on_level, options, caption)
         notes = tuple(dict.fromkeys(note for graph in plan.graphs for note in self._notes_of(graph)))
-        notes += (MANY_AT_ONCE,) if len(spec.concepts) > 2 else ()
+        notes += (MANY_AT_ONCE,) if len(spec.concepts) >= MANY else ()
         watch = deadline.watch(on_step)
         clip = pipe._decode_sample(conditions, plan.weights, options, caption, wanted, watch, on_latent)
         return replace(clip, unknown=unknown, notes=(*notes, *clip.notes))
@@ -902,14 +908,25 @@ class MotionPipeline:
         if len(graphs) > 1 and not in_order:
             return _EncodedSentence(graph, (replace(whole, notes=(*whole.notes, AT_ONCE)),))
         if len(graphs) == 1:
-            together = [action for action in graph.actions if not action.negated and action.weight > 0]
-            told = (*whole.notes, MANY_AT_ONCE) if len(together) > 2 else whole.notes
-            return _EncodedSentence(graph, (replace(whole, notes=told),))
-        parts = [self._encode_part(part, options, own_length=True, is_known=is_known) for part in graphs]
+            return _EncodedSentence(graph, (self._with_each_alone(whole) if in_order else whole,))
+        parts = [
+            self._with_each_alone(self._encode_part(part, options, own_length=True, is_known=is_known))
+            for part in graphs
+        ]
         is_free = own_length and whole.is_timed  # the lengths in words are those of the parts
         total = sum(part.options.frames for part in parts) if is_free else whole.options.frames
         shares = share_frames(total, [part.options for part in parts], self.manifest)
         return _EncodedSentence(graph, tuple(map(_EncodedPart.with_options, parts, shares)))
+
+    def _with_each_alone(self, part: _EncodedPart) -> _EncodedPart:
+        """Encode each of three actions and more at once alone, too, where nothing is weighted or negated."""
+        if len(part.graph.actions) < MANY or not part.plan.is_plain:
+            return part
+        alone = [
+            self._encode_part(graph, part.options, own_length=False, is_known=True)
+            for graph in split_at_once(part.graph)
+        ]
+        return replace(part, alone=tuple(alone))
 
     def _make_clip(
         self,
@@ -1018,12 +1035,46 @@ class MotionPipeline:
         on_latent: OnLatent | None = None,
         wanted: Wanted | None = None,
     ) -> Clip:
-        """Sample latents for one graph and decode them."""
+        """Sample latents for one graph and decode them; of three actions at once, each alone where that will do."""
+        if part.alone and wanted is None:
+            joined = self._sample_each_alone(part, seed, on_step)
+            if joined is not None:
+                return joined
         weights = None if part.plan.is_plain else part.plan.weights
         options = replace(part.options, seed=seed)
         caption = part.graph.caption
         clip = self._decode_sample(part.conditions, weights, options, caption, wanted, on_step, on_latent)
-        return replace(clip, graph=part.graph)
+        many = (MANY_AT_ONCE,) if len(part.graph.actions) >= MANY else ()
+        return replace(clip, graph=part.graph, notes=(*clip.notes, *many))
+
+    def _sample_each_alone(self, part: _EncodedPart, seed: int, on_step: OnStep | None) -> Clip | None:
+        """Sample the actions of a part alone, and join their parts of the body.
+
+        What has no part of the body is sampled together with what has the legs ("walks and turns left"). None where
+        that leaves nothing to join.
+        """
+        from kinegraph.motion.body_parts import LEGS, choose_parts, join_parts
+
+        def sample(each: _EncodedPart, number: int) -> Clip:
+            options = replace(part.options, turn=each.options.turn)
+            return self._sample(each.with_options(options), seed, subrange_progress(on_step, number, count))
+
+        count = len(part.alone)
+        clips = [sample(each, number) for number, each in enumerate(part.alone)]
+        chosen = choose_parts([clip.joints for clip in clips])
+        if set(chosen.values()) != set(range(count)):
+            together = {chosen[LEGS], *(index for index in range(count) if index not in chosen.values())}
+            graph = None if len(together) == count else with_actions(part.graph, together)
+            if graph is None:
+                return None
+            legs = self._encode_part(graph, part.options, own_length=False, is_known=True)
+            clips = [sample(legs, count - 1), *(clips[index] for index in range(count) if index not in together)]
+            chosen = choose_parts([clip.joints for clip in clips])
+            if set(chosen.values()) != set(range(len(clips))):
+                return None
+        notes = tuple(dict.fromkeys(note for clip in clips for note in clip.notes))
+        joints = join_parts([clip.joints for clip in clips], chosen)
+        return replace(clips[0], joints=joints, text=part.graph.caption, graph=part.graph, notes=notes)
 
     def _decode_sample(
         self,
@@ -1074,7 +1125,13 @@ class MotionPipeline:
     def _make_together(
         self, sentences: Sequence[_EncodedSentence], seeds: Sequence[int], takes: int, on_step: OnStep | None
     ) -> list[Clip]:
-        """Make all clips of a batch in shared runs; parts of sentences take part as clips of their own."""
+        """Make all clips of a batch in shared runs; parts of sentences take part as clips of their own.
+
+        Sentences whose actions are sampled alone are made in runs of their own.
+        """
+        apart = [index for index, sentence in enumerate(sentences) if any(part.alone for part in sentence.parts)]
+        if apart:
+            return self._make_some_apart(sentences, seeds, takes, apart, on_step)
         sized = [
             self._with_margins(sentence.parts) if len(sentence.parts) > 1 else ([0], [*sentence.parts])
             for sentence in sentences
@@ -1108,6 +1165,28 @@ class MotionPipeline:
                 notes = (*sentence.notes, *clip.notes)
                 clips.append(replace(clip, text=sentence.graph.caption, graph=sentence.graph, notes=notes))
         return clips
+
+    def _make_some_apart(
+        self,
+        sentences: Sequence[_EncodedSentence],
+        seeds: Sequence[int],
+        takes: int,
+        apart: Sequence[int],
+        on_step: OnStep | None,
+    ) -> list[Clip]:
+        """Make the clips of some sentences by themselves, and all others in shared runs."""
+        own = [seeds[index * takes : (index + 1) * takes] for index in range(len(sentences))]
+        others = [index for index in range(len(sentences)) if index not in apart]
+        runs = len(apart) * takes + bool(others)
+        progress = (subrange_progress(on_step, number, runs) for number in range(runs))
+        clips = {
+            index: [self._make_clip(sentences[index], seed, next(progress)) for seed in own[index]] for index in apart
+        }
+        if others:
+            rest = [seed for index in others for seed in own[index]]
+            made = self._make_together([sentences[index] for index in others], rest, takes, next(progress))
+            clips |= {index: made[place * takes : (place + 1) * takes] for place, index in enumerate(others)}
+        return [clip for index in range(len(sentences)) for clip in clips[index]]
 
     def _make_timeline(
         self,

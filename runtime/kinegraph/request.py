@@ -45,6 +45,8 @@ AT_ONCE: Final = (
     "`generate_timeline` makes them one by one, under constraints too"
 )
 """Note for such a sentence with constraints, or in an edit."""
+MANY: Final = 3
+"""Actions at once that one run seldom makes."""
 MANY_AT_ONCE: Final = (
     "three actions and more at once seldom all happen; `compose` with the method 'parts' makes each with its part of "
     "the body"

@@ -10,6 +10,7 @@ import pytest
 
 from kinegraph import Cancelled, Concept, InvalidInputError, MotionPipeline, cli
 from kinegraph.constraints import Waypoint
+from kinegraph.edits import with_weight
 from kinegraph.energy import energy_maps
 from kinegraph.motion.body_parts import (
     ARMS,
@@ -26,6 +27,7 @@ from kinegraph.motion.body_parts import (
     rotate_about_y,
 )
 from kinegraph.motion.skeleton import JOINT_INDEX, bone_lengths
+from kinegraph.options import resolve_options
 from kinegraph.request import MANY_AT_ONCE
 from support.motions import posed, stand, turn, walk
 from support.toy import with_parser
@@ -125,9 +127,72 @@ def test_the_command_line_composes_parts(here: Path) -> None:
         assert stored["joints"].shape == (20, 22, 3) and str(stored["text"]) == f"{WALK} while {WAVE}"
 
 
+def choosing(monkeypatch: pytest.MonkeyPatch, *choices: tuple[int, int, int, int]) -> None:
+    """Let motions be chosen for legs, trunk and arms in turn as is said."""
+    left = iter(choices)
+    monkeypatch.setattr(
+        "kinegraph.motion.body_parts.choose_parts", lambda _: dict(zip([LEGS, TRUNK, *ARMS], next(left), strict=True))
+    )
+
+
+THREE = "a person walks while raising the left hand and waving the right hand"
+ALONE = ("a person walks", "a person raises the left hand", "a person waves the right hand")
+
+
+def test_a_sentence_of_three_at_once_is_joined_of_each_alone(
+    toy: MotionPipeline, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    alone = [toy.generate(text, **HOW).joints for text in ALONE]
+    choosing(monkeypatch, (0, 0, 1, 2))
+    clip = toy.generate(THREE, **HOW)
+    assert np.array_equal(clip.joints, join_parts(alone, {LEGS: 0, TRUNK: 0, "left arm": 1, "right arm": 2}))
+    assert (clip.text, clip.graph, clip.notes) == (THREE, toy.parse(THREE), ())
+
+
+def test_what_has_no_part_is_sampled_with_the_legs(toy: MotionPipeline, monkeypatch: pytest.MonkeyPatch) -> None:
+    both, waves = (toy.generate(text, **HOW).joints for text in ("a person walks and turns left", "a person waves"))
+    choosing(monkeypatch, (1, 1, 1, 2), (0, 0, 0, 1))
+    clip = toy.generate("a person walks and turns left while waving", **HOW)
+    assert np.array_equal(clip.joints, join_parts([both, waves], {LEGS: 0, TRUNK: 0, "left arm": 0, "right arm": 1}))
+
+
+def test_what_cannot_be_joined_is_sampled_at_once_and_told(
+    toy: MotionPipeline, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    graph = toy.parse(THREE)
+    options = resolve_options(toy.manifest, **HOW)
+    sentence = toy._encode_sentence(graph, options, own_length=False, is_known=True, in_order=False)
+    whole = toy._make_clip(sentence, HOW["seed"])
+    for choices in ([(0, 0, 0, 0)], [(1, 1, 1, 2), (0, 0, 0, 0)]):
+        choosing(monkeypatch, *choices)
+        clip = toy.generate(THREE, **HOW)
+        assert np.array_equal(clip.joints, whole.joints) and clip.notes == (MANY_AT_ONCE,)
+
+
+def test_a_batch_makes_them_as_they_are_made_alone(toy: MotionPipeline) -> None:
+    texts = [WALK, THREE, f"{THREE}, then bows", WAVE]
+    for shared_run in (True, False):
+        clips = toy.batch(texts, seconds=4, seed=1, takes=2, shared_run=shared_run)
+        assert [clip.text for clip in clips] == [text for text in texts for _ in range(2)]
+        for clip in clips:
+            alone = toy.generate(clip.text, seconds=4, seed=clip.seed)
+            assert np.abs(clip.joints - alone.joints).max() < 2e-3
+
+
+def test_a_batch_of_them_stops_when_it_is_asked_to(toy: MotionPipeline) -> None:
+    with pytest.raises(Cancelled):
+        toy.batch([WALK, THREE], seconds=2, seed=1, shared_run=True, on_step=lambda step: step.done < 3)
+
+
+def test_constraints_and_weights_sample_three_at_once(toy: MotionPipeline, monkeypatch: pytest.MonkeyPatch) -> None:
+    choosing(monkeypatch)  # nothing is chosen
+    held = toy.generate(THREE, constraints=[Waypoint(1.0, (0.0, 0.5))], **HOW)
+    weighed = toy.generate(with_weight(toy.parse(THREE), "walks", 0.5), **HOW)
+    assert MANY_AT_ONCE in held.notes and MANY_AT_ONCE in weighed.notes
+
+
 def test_three_at_once_are_told_of_parts(toy: MotionPipeline) -> None:
-    three, two = f"{WALK}, raises the left hand and waves the right hand", "a person walks and waves the right hand"
-    assert MANY_AT_ONCE in toy.generate(three, **HOW).notes and MANY_AT_ONCE not in toy.generate(two, **HOW).notes
+    assert MANY_AT_ONCE not in toy.generate("a person walks and waves the right hand", **HOW).notes
     concepts = [WALK, WAVE, "a person nods"]
     assert MANY_AT_ONCE in toy.compose(concepts, **HOW).notes
     assert MANY_AT_ONCE not in toy.compose(concepts[:2], **HOW).notes
