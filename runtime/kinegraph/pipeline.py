@@ -40,7 +40,7 @@ from kinegraph.diffusion.sampling import OnStep, subrange_progress
 from kinegraph.errors import InvalidInputError, ModelError, UnknownWordsError
 from kinegraph.graph import SemanticGraph
 from kinegraph.interpretation import split_at_once, with_actions
-from kinegraph.limits import MAX_PARTS, MAX_SHARED, MAX_TAKES
+from kinegraph.limits import MAX_CONCEPTS, MAX_PARTS, MAX_SHARED, MAX_TAKES
 from kinegraph.motion.blending import blend_margins, stitch
 from kinegraph.options import (
     LATENT,
@@ -920,7 +920,7 @@ class MotionPipeline:
 
     def _with_each_alone(self, part: _EncodedPart) -> _EncodedPart:
         """Encode each of three actions and more at once alone, too, where nothing is weighted or negated."""
-        if len(part.graph.actions) < MANY or not part.plan.is_plain:
+        if not MANY <= len(part.graph.actions) <= MAX_CONCEPTS or not part.plan.is_plain:
             return part
         alone = [
             self._encode_part(graph, part.options, own_length=False, is_known=True)
