@@ -154,10 +154,10 @@ def validate_composition(concepts: object, method: object, text: Any, lambdas: o
             "fused", shares that are no three numbers from 0 to 1 with sum 1, weights that Eq. 9 cannot divide by, or
             step sizes that are no two numbers from 0 to 1.
     """
+    if not isinstance(method, str) or method not in (*METHODS, PARTS):
+        raise InvalidInputError(f"method must be one of {', '.join((*METHODS, PARTS))}, not {short_repr(method)}")
     if method == PARTS:
         raise InvalidInputError(f"method {PARTS!r} samples each concept alone, and has no energy; take another method")
-    if not isinstance(method, str) or method not in METHODS:
-        raise InvalidInputError(f"method must be one of {', '.join((*METHODS, PARTS))}, not {short_repr(method)}")
     checked = validate_concepts(concepts)
     wanted = checked if method == "semantic" else tuple(concept for concept in checked if concept.weight > 0)
     negated = () if method == "semantic" else tuple(concept for concept in checked if concept.weight < 0)

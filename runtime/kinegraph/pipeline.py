@@ -577,7 +577,7 @@ class MotionPipeline:
             Cancelled, NonFiniteError: as in `generate`.
         """
         deadline = _check_call(timeout, on_step, on_level, strict=strict)
-        if method == PARTS:
+        if isinstance(method, str) and method == PARTS:
             from kinegraph.part_composition import check_parts, compose_parts
 
             unused = {"text": text, "lambdas": lambdas, "agd": agd, "constraints": constraints or None}
