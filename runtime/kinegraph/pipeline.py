@@ -65,6 +65,7 @@ from kinegraph.request import (
     NEVER_STOOD,
     STANDING,
     interpret,
+    parts_hands,
     share_frames,
     split_in_order,
     turn_of,
@@ -118,7 +119,7 @@ class _EncodedPart:
     is_timed: bool
     """Whether the sentence says how long it takes."""
     alone: tuple[_EncodedPart, ...] = ()
-    """Each of three actions and more at once, told alone; none of fewer."""
+    """Each of its actions told alone, where left and right hand do different things (`request.parts_hands`)."""
 
     @cached_property
     def conditions(self) -> Conditions:
@@ -291,9 +292,9 @@ class MotionPipeline:
         Negated actions ("without waving") are taken away (Eq. 8). A length in words ("for four seconds") holds where
         `seconds` is not given. Actions in order ("walks, then bows") are made one by one and joined. A turn goes as far
         as the sentence says ("by 90 degrees", "around"), and is held back where it does not say (`text.turns`,
-        `motion.turning`). Three actions and more at once are sampled each alone, and their parts of the body joined,
-        where each has one (`motion.body_parts`). What the sentence asks for and does not get stands in the clip's
-        `notes`.
+        `motion.turning`). Where left and right hand do different things at once, each action is sampled alone, and
+        their parts of the body are joined (`motion.body_parts`). What the sentence asks for and does not get stands in
+        the clip's `notes`.
 
         Args:
             text: a sentence, or its graph; weighted edges count as `concepts.weighted_edge_terms` says.
@@ -919,8 +920,8 @@ class MotionPipeline:
         return _EncodedSentence(graph, tuple(map(_EncodedPart.with_options, parts, shares)))
 
     def _with_each_alone(self, part: _EncodedPart) -> _EncodedPart:
-        """Encode each of three actions and more at once alone, too, where nothing is weighted or negated."""
-        if not MANY <= len(part.graph.actions) <= MAX_CONCEPTS or not part.plan.is_plain:
+        """Encode each action alone, too, where left and right hand do different things; nothing weighted or negated."""
+        if not parts_hands(part.graph) or not part.plan.is_plain or len(part.graph.actions) > MAX_CONCEPTS:
             return part
         alone = [
             self._encode_part(graph, part.options, own_length=False, is_known=True)
@@ -1035,7 +1036,7 @@ class MotionPipeline:
         on_latent: OnLatent | None = None,
         wanted: Wanted | None = None,
     ) -> Clip:
-        """Sample latents for one graph and decode them; of three actions at once, each alone where that will do."""
+        """Sample latents for one graph and decode them; what each hand does alone, where that will do."""
         if part.alone and wanted is None:
             joined = self._sample_each_alone(part, seed, on_step)
             if joined is not None:
@@ -1044,7 +1045,7 @@ class MotionPipeline:
         options = replace(part.options, seed=seed)
         caption = part.graph.caption
         clip = self._decode_sample(part.conditions, weights, options, caption, wanted, on_step, on_latent)
-        many = (MANY_AT_ONCE,) if len(part.graph.actions) >= MANY else ()
+        many = (MANY_AT_ONCE,) if parts_hands(part.graph) else ()
         return replace(clip, graph=part.graph, notes=(*clip.notes, *many))
 
     def _sample_each_alone(self, part: _EncodedPart, seed: int, on_step: OnStep | None) -> Clip | None:

@@ -46,12 +46,13 @@ AT_ONCE: Final = (
 )
 """Note for such a sentence with constraints, or in an edit."""
 MANY: Final = 3
-"""Actions at once that one run seldom makes."""
+"""Concepts at once that one run seldom makes."""
 MANY_AT_ONCE: Final = (
-    "three actions and more at once seldom all happen; `compose` with the method 'parts' makes each with its part of "
-    "the body"
+    "so much at once seldom all happens in one run; `compose` with the method 'parts' makes each with its part of the "
+    "body"
 )
-"""Note for sentences and compositions of so many."""
+"""Note for compositions of so many, and for sentences of both hands that are not made of each action alone."""
+_HAND: Final = re.compile(r"\b(left|right) (?:hand|arm|fist|wrist|elbow|forearm)\b", re.IGNORECASE)
 SECONDS_PER_STEP: Final = 0.55
 """Length that one step of a walk takes."""
 _TOLD: Final = re.compile(r"(?:an?|the|one|some(?:one|body)|he|she|it|they)\b", re.IGNORECASE)
@@ -134,6 +135,22 @@ def interpret(
         bool(lengths),
         tuple(notes),
     )
+
+
+def parts_hands(graph: SemanticGraph) -> bool:
+    """Tell whether one action of a graph is for the left hand and another for the right.
+
+    Seldom do both happen in one run, as training joined few such pairs: of sentences of walking, a raised and a waving
+    hand one in twenty had all of it, and all of forty whose actions were sampled alone.
+    """
+    verbs = [action.start for action in graph.actions]
+
+    def sides(action: Action) -> set[str]:  # an argument with a verb in it ("while waving") is another action's
+        own = [node for node in action.arguments if not any(node.start <= verb < node.end for verb in verbs)]
+        return {side.lower() for node in own for side in _HAND.findall(node.text)}
+
+    one_sided = [side for side in map(sides, graph.actions) if len(side) == 1]
+    return len(set().union(*one_sided)) == 2
 
 
 def turn_of(graphs: Sequence[SemanticGraph], weights: Sequence[float] = (1.0,)) -> Turn | None:

@@ -28,7 +28,7 @@ from kinegraph.motion.body_parts import (
 )
 from kinegraph.motion.skeleton import JOINT_INDEX, bone_lengths
 from kinegraph.options import resolve_options
-from kinegraph.request import MANY_AT_ONCE
+from kinegraph.request import MANY_AT_ONCE, parts_hands
 from support.motions import posed, stand, turn, walk
 from support.toy import with_parser
 
@@ -150,10 +150,27 @@ def test_a_sentence_of_three_at_once_is_joined_of_each_alone(
 
 
 def test_what_has_no_part_is_sampled_with_the_legs(toy: MotionPipeline, monkeypatch: pytest.MonkeyPatch) -> None:
-    both, waves = (toy.generate(text, **HOW).joints for text in ("a person walks and turns left", "a person waves"))
-    choosing(monkeypatch, (1, 1, 1, 2), (0, 0, 0, 1))
-    clip = toy.generate("a person walks and turns left while waving", **HOW)
-    assert np.array_equal(clip.joints, join_parts([both, waves], {LEGS: 0, TRUNK: 0, "left arm": 0, "right arm": 1}))
+    alone = ("a person walks and turns left", *ALONE[1:])
+    motions = [toy.generate(text, **HOW).joints for text in alone]
+    choosing(monkeypatch, (1, 1, 2, 3), (0, 0, 1, 2))
+    clip = toy.generate("a person walks and turns left while raising the left hand and waving the right hand", **HOW)
+    assert np.array_equal(clip.joints, join_parts(motions, {LEGS: 0, TRUNK: 0, "left arm": 1, "right arm": 2}))
+
+
+@pytest.mark.parametrize(
+    ("sentence", "does"),
+    [
+        (THREE, True),
+        ("a person raises the left hand while waving the right hand", True),
+        ("a person punches with the left fist and waves with the right hand", True),
+        ("a person walks while waving the left hand and nodding", False),
+        ("a person waves the left hand and the right hand", False),
+        ("a person walks to the left and turns right", False),
+        ("a person walks forward, turning left and continuing on", False),
+    ],
+)
+def test_left_and_right_hand_are_told_apart(toy: MotionPipeline, sentence: str, does: bool) -> None:
+    assert parts_hands(toy.parse(sentence)) == does
 
 
 def test_what_cannot_be_joined_is_sampled_at_once_and_told(
@@ -191,8 +208,8 @@ def test_constraints_and_weights_sample_three_at_once(toy: MotionPipeline, monke
     assert MANY_AT_ONCE in held.notes and MANY_AT_ONCE in weighed.notes
 
 
-def test_three_at_once_are_told_of_parts(toy: MotionPipeline) -> None:
-    assert MANY_AT_ONCE not in toy.generate("a person walks and waves the right hand", **HOW).notes
+def test_three_concepts_are_told_of_parts(toy: MotionPipeline) -> None:
+    assert MANY_AT_ONCE not in toy.generate("a person walks and claps while nodding", **HOW).notes
     concepts = [WALK, WAVE, "a person nods"]
     assert MANY_AT_ONCE in toy.compose(concepts, **HOW).notes
     assert MANY_AT_ONCE not in toy.compose(concepts[:2], **HOW).notes

@@ -109,6 +109,7 @@ def test_turns_are_read(parser: GraphParser, caption: str, degrees: float, side:
         "a person bends to the left",
         "someone spins around three times",
         "a person turns around twice",
+        "he walks about and turns around more than once",
         "a person keeps turning left",
         "a person turns left and right",
         "a person walks in circles to the left",

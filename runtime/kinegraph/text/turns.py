@@ -56,9 +56,9 @@ _OTHER_SENSE: Final = re.compile(
     re.IGNORECASE,
 )
 _WITHOUT_END: Final = re.compile(
-    r"\b(?:ke(?:ep|eps|eping|pt) (?:on )?\w+ing|continu\w+|repeated\w*|again and again|always|several|many|times|twice"
-    r"|thrice|both ways|to and fro|back and forth|left and (?:to the )?right|right and (?:to the )?left|this way"
-    r"|(?:a?round|turns) and (?:a?round|turns)|circles|rings|loops?|spirals?)\b",
+    r"\b(?:ke(?:ep|eps|eping|pt) (?:on )?\w+ing|continu\w+|repeated\w*|again and again|always|several|many|times"
+    r"|more than once|twice|thrice|both ways|to and fro|back and forth|left and (?:to the )?right"
+    r"|right and (?:to the )?left|this way|(?:a?round|turns) and (?:a?round|turns)|circles|rings|loops?|spirals?)\b",
     re.IGNORECASE,
 )
 """Words of turns whose size they do not fix, and of paths."""
