@@ -141,7 +141,7 @@ def parts_hands(graph: SemanticGraph) -> bool:
     """Tell whether one action of a graph is for the left hand and another for the right.
 
     Seldom do both happen in one run, as training joined few such pairs: of sentences of walking, a raised and a waving
-    hand one in twenty had all of it, and all of forty whose actions were sampled alone.
+    hand 5 % had all of it, and have 84 % where actions are sampled alone (`kinegraph_benchmarks.quality.composition`).
     """
     verbs = [action.start for action in graph.actions]
 
