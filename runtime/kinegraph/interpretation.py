@@ -200,11 +200,7 @@ def split_at_once(graph: SemanticGraph) -> list[SemanticGraph]:
 
 
 def with_actions(graph: SemanticGraph, kept: Collection[int]) -> SemanticGraph | None:
-    """Leave out all actions but some, by their index in `graph.actions`, with their words; None if nothing is left.
-
-    Raises:
-        InvalidGraphError: the words that are left make no graph.
-    """
+    """Leave out all actions but some, by their index in `graph.actions`, with their words; None if nothing is left."""
     removed = [action for index, action in enumerate(graph.actions) if index not in kept]
     left = _without_actions(Pieces(graph), removed)
     return None if left is None else _ordered(left)

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from copy import copy
 from dataclasses import dataclass, replace
 from functools import cached_property, partial, wraps
@@ -37,7 +38,7 @@ from kinegraph.decoding import MotionDecoder
 from kinegraph.denoising import LatentSampler, OnLatent
 from kinegraph.diffusion.composition import CompositionWeights
 from kinegraph.diffusion.sampling import OnStep, subrange_progress
-from kinegraph.errors import InvalidInputError, ModelError, UnknownWordsError
+from kinegraph.errors import InvalidGraphError, InvalidInputError, ModelError, UnknownWordsError
 from kinegraph.graph import SemanticGraph
 from kinegraph.interpretation import split_at_once, with_actions
 from kinegraph.limits import MAX_CONCEPTS, MAX_PARTS, MAX_SHARED, MAX_TAKES
@@ -923,10 +924,10 @@ class MotionPipeline:
         """Encode each action alone, too, where left and right hand do different things; nothing weighted or negated."""
         if not parts_hands(part.graph) or not part.plan.is_plain or len(part.graph.actions) > MAX_CONCEPTS:
             return part
-        alone = [
-            self._encode_part(graph, part.options, own_length=False, is_known=True)
-            for graph in split_at_once(part.graph)
-        ]
+        told: list[SemanticGraph] = []
+        with suppress(InvalidGraphError):  # near the longest caption there is no room for who does it
+            told = split_at_once(part.graph)
+        alone = [self._encode_part(graph, part.options, own_length=False, is_known=True) for graph in told]
         return replace(part, alone=tuple(alone))
 
     def _make_clip(
@@ -1065,7 +1066,9 @@ class MotionPipeline:
         chosen = choose_parts([clip.joints for clip in clips])
         if set(chosen.values()) != set(range(count)):
             together = {chosen[LEGS], *(index for index in range(count) if index not in chosen.values())}
-            graph = None if len(together) == count else with_actions(part.graph, together)
+            graph: SemanticGraph | None = None
+            with suppress(InvalidGraphError):  # no action is left of the words
+                graph = None if len(together) == count else with_actions(part.graph, together)
             if graph is None:
                 return None
             legs = self._encode_part(graph, part.options, own_length=False, is_known=True)

@@ -162,7 +162,9 @@ def main() -> None:
     """Run the command line."""
     parser = benchmark_parser(__doc__)
     add_arguments(parser, "data", "out", seeds=10)
-    parser.add_argument("--bundles", nargs="+", default=[None], help="folders or names (the default bundle)")
+    parser.add_argument(
+        "--bundles", nargs="+", default=[None], help="folders or names of bundles; the default bundle without it"
+    )
     options = parser.parse_args()
     pipes = [MotionPipeline.load(bundle, threads=1) for bundle in options.bundles]
     clips = [clip for split in SPLITS for clip in read_split(options.data, split)]
