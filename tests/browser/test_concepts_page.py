@@ -92,7 +92,10 @@ def test_what_does_not_mix_is_hidden_or_said(open_page: Open, server: Playground
     page.get_by_label("Method").select_option("parts")
     settings(page, seed="2")
     page.get_by_role("button", name="Generate").click()
-    wait_until(page, lambda: "the weight" in page.get_by_role("alert").inner_text())
+    wait_until(page, lambda: "seed 2," in page.locator("body").inner_text())
+    page.locator(".concepts").get_by_label("Weight").first.fill("0.5")
+    page.get_by_role("button", name="Generate").click()
+    wait_until(page, lambda: "has the weight 0.5" in page.get_by_role("alert").inner_text())
     for slider in page.locator(".concepts").get_by_label("Weight").all():
         slider.fill("0")
     wait_until(page, lambda: "1 to 8 concepts, not 0" in page.get_by_role("alert").inner_text())

@@ -32,9 +32,9 @@ def one(tmp_path_factory: pytest.TempPathFactory) -> str:
 
 
 def stands_still(page: Page) -> bool:
-    """Tell whether no other frame is drawn for 0.3 s; on a busy machine one may come late."""
+    """Tell whether no other frame is drawn for a second; on a busy machine one may come late."""
     before = time_of(page)
-    page.wait_for_timeout(300)
+    page.wait_for_timeout(1000)
     return time_of(page) == before
 
 
