@@ -149,7 +149,8 @@ def parts_hands(graph: SemanticGraph) -> bool:
         own = [node for node in action.arguments if not any(node.start <= verb < node.end for verb in verbs)]
         return {side.lower() for node in own for side in _HAND.findall(node.text)}
 
-    one_sided = [side for side in map(sides, graph.actions) if len(side) == 1]
+    acting = [action for action in graph.actions if not action.negated and action.weight > 0]
+    one_sided = [side for side in map(sides, acting) if len(side) == 1]
     return len(set().union(*one_sided)) == 2
 
 

@@ -165,6 +165,7 @@ def test_what_has_no_part_is_sampled_with_the_legs(toy: MotionPipeline, monkeypa
         ("a person punches with the left fist and waves with the right hand", True),
         ("a person walks while waving the left hand and nodding", False),
         ("a person waves the left hand and the right hand", False),
+        ("a person raises the left hand without waving the right hand", False),
         ("a person walks to the left and turns right", False),
         ("a person walks forward, turning left and continuing on", False),
     ],

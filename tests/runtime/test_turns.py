@@ -103,6 +103,7 @@ def test_turns_are_read(parser: GraphParser, caption: str, degrees: float, side:
         "a person walks forward",
         "a person turns on the light",
         "a person turns his head to the left",
+        "a person rotates the head by 30 degrees",
         "a person turns a wheel",
         "a person turns over",
         "a person spins around",

@@ -121,14 +121,13 @@ def _clause(caption: str, actions: Sequence[Action], index: int) -> str:
 def _turn_of(action: Action, clause: str) -> Turn | None:
     """Read the turn of one action."""
     is_circle = _CIRCLE.search(clause) is not None
-    has_noun = is_circle or _NOUN.search(clause) is not None
-    is_turn = has_noun or (_VERB.match(action.text) is not None and not _is_of_something_else(action, clause))
-    goes_on = _TO_A_SIDE.match(action.text) is not None
-    if not (is_turn or goes_on):
+    is_noun = is_circle or _NOUN.search(clause) is not None
+    is_turn, goes_on = (words.match(action.text) is not None for words in (_VERB, _TO_A_SIDE))
+    if not is_noun and (not (is_turn or goes_on) or _is_of_something_else(action, clause)):
         return None
     sides = _SIDES_OF_THE_BODY.sub("", _AGAINST_THE_CLOCK.sub("left", clause))
     left, right = _LEFT.search(sides) is not None, _RIGHT.search(sides) is not None
-    degrees = _said_degrees(clause if is_turn and not is_circle else _AROUND.sub("", clause))
+    degrees = _said_degrees(clause if (is_turn or is_noun) and not is_circle else _AROUND.sub("", clause))
     if degrees is not None:
         return Turn(degrees, int(left) - int(right), True)
     if (goes_on and not is_circle) or (left and right):
