@@ -1,4 +1,4 @@
-/* kinegraph, Apache-2.0; sources sha256 d037a7b2c19a287bd7dbf338d13007e60843f15e0bd457f6993805dabcbab98e
+/* kinegraph, Apache-2.0; sources sha256 e38a6d7d9c735ce0d7b018be9bbf467e43c0bac256bdcbd7fb1770d75901487d
 It contains three.js:
 
 The MIT License
