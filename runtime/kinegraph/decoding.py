@@ -18,7 +18,7 @@ from kinegraph.motion.features import joints_from_features
 from kinegraph.motion.humanml3d import joints_from_humanml3d
 from kinegraph.motion.kit_ml import joints_from_kit
 from kinegraph.motion.postprocess import enforce_bone_lengths, lock_feet
-from kinegraph.motion.turning import hold_back_turn, net_turn, turn_by
+from kinegraph.motion.turning import hold_back_turn, turn_by, turned_to
 from kinegraph.options import GenerateOptions
 
 _JOINTS_FROM: Final[Mapping[str, Callable[[FloatArray], FloatArray]]] = {
@@ -87,11 +87,10 @@ def tell_turn(joints: FloatArray, options: GenerateOptions) -> tuple[str, ...]:
     """Tell where a motion (frames, 22, 3) does not turn as far as its sentence says, as a note."""
     if options.turn is None or not options.turn.is_said:
         return ()
-    made = net_turn(joints if options.shown is None else joints[slice(*options.shown)])
     asked = options.turn.degrees
-    towards = made * options.turn.side if options.turn.side else abs(made)
-    if abs(towards - asked) <= NEAR_TURN * asked:
+    if abs(turned_to(joints, options.turn.side, options.shown) - asked) <= NEAR_TURN * asked:
         return ()
+    made = turned_to(joints, 1, options.shown)
     side = "left" if made > 0 else "right"
     return (f"{asked:g} degrees are asked for, and the turn is {abs(made):.0f} to the {side}; try another seed",)
 

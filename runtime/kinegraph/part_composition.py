@@ -7,6 +7,7 @@ moves different parts of the body needs no such search (`motion.body_parts`).
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 from kinegraph.clip import Clip
@@ -85,14 +86,13 @@ def compose_parts(
     ]
     chosen = choose_parts([clip.joints for clip in clips])
     left_out = [concept.caption for index, concept in enumerate(concepts) if index not in chosen.values()]
-    notes = [note for clip in clips for note in clip.notes]
-    notes += [f"{caption!r}: the others do more with every part of the body, so it is left out" for caption in left_out]
-    joint = joint_caption(concepts)
-    return Clip(
-        join_parts([clip.joints for clip in clips], chosen),
-        pipe.manifest.fps,
-        options.seed,
-        joint.caption if isinstance(joint, SemanticGraph) else joint,
-        clips[0].bundle,
-        notes=tuple(dict.fromkeys(notes)),
-    )
+    told = [f"{caption!r}: the others do more with every part of the body, so it is left out" for caption in left_out]
+    joined, joint = join_clips(clips, chosen), joint_caption(concepts)
+    text = joint.caption if isinstance(joint, SemanticGraph) else joint
+    return replace(joined, text=text, graph=None, notes=tuple(dict.fromkeys((*joined.notes, *told))))
+
+
+def join_clips(clips: Sequence[Clip], chosen: Mapping[str, int]) -> Clip:
+    """Join the parts of the body of some clips, as `choose_parts` says, with the notes of all; else it is the first."""
+    notes = tuple(dict.fromkeys(note for clip in clips for note in clip.notes))
+    return replace(clips[0], joints=join_parts([clip.joints for clip in clips], chosen), notes=notes)

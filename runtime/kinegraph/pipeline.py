@@ -583,7 +583,7 @@ class MotionPipeline:
             from kinegraph.part_composition import check_parts, compose_parts
 
             unused = {"text": text, "lambdas": lambdas, "agd": agd, "constraints": constraints or None}
-            checked = check_parts(concepts, unused)
+            checked = [replace(each, text=self.as_graph(each.text)) for each in check_parts(concepts, unused)]
             unknown = self.find_unknown(*(concept.text for concept in checked), strict=strict)
             sampling: dict[str, Any] = {"steps": steps, "guidance": guidance, "foot_fix": foot_fix, "space": space}
             options = resolve_options(self.manifest, seconds=seconds, seed=seed, **sampling)
@@ -1055,7 +1055,8 @@ class MotionPipeline:
         What has no part of the body is sampled together with what has the legs ("walks and turns left"). None where
         that leaves nothing to join.
         """
-        from kinegraph.motion.body_parts import LEGS, choose_parts, join_parts
+        from kinegraph.motion.body_parts import LEGS, choose_parts
+        from kinegraph.part_composition import join_clips
 
         def sample(each: _EncodedPart, number: int) -> Clip:
             options = replace(part.options, turn=each.options.turn)
@@ -1076,9 +1077,7 @@ class MotionPipeline:
             chosen = choose_parts([clip.joints for clip in clips])
             if set(chosen.values()) != set(range(len(clips))):
                 return None
-        notes = tuple(dict.fromkeys(note for clip in clips for note in clip.notes))
-        joints = join_parts([clip.joints for clip in clips], chosen)
-        return replace(clips[0], joints=joints, text=part.graph.caption, graph=part.graph, notes=notes)
+        return replace(join_clips(clips, chosen), text=part.graph.caption, graph=part.graph)
 
     def _decode_sample(
         self,
@@ -1242,7 +1241,7 @@ class MotionPipeline:
                 self.sampler.validate_composition(spec.lambdas, spec.agd)
                 plan = SamplingPlan.for_composition(spec, [self.as_graph(text) for text in spec.texts])
                 features, _ = self._encode(plan, first.options, own_length=False)
-                options = replace(first.options, turn=turn_of(graphs, [1.0] * len(graphs)))
+                options = replace(first.options, turn=turn_of(graphs))
                 first = replace(first, plan=plan, features=features, options=options)
             composed.append(first)
         return composed

@@ -64,6 +64,7 @@ _KNOWN_SUBJECT: Final = re.compile(
 _TURNING: Final = re.compile(
     r"turn|rotat|pivot|swivel|veer|swerve|spin|twirl|whirl|about[ -]?face|bend|curve|circle|\bring\b", re.IGNORECASE
 )
+"""Words of turns: a quick look, too."""
 _WORDINGS: Final = re.compile("|".join(pattern for pattern, _ in WORDINGS), re.IGNORECASE)
 
 
@@ -154,15 +155,15 @@ def parts_hands(graph: SemanticGraph) -> bool:
     return len(set().union(*one_sided)) == 2
 
 
-def turn_of(graphs: Sequence[SemanticGraph], weights: Sequence[float] = (1.0,)) -> Turn | None:
+def turn_of(graphs: Sequence[SemanticGraph], weights: Sequence[float] | None = None) -> Turn | None:
     """Read how far a body turns that does all of some graphs; None if they do not say, or say several things.
 
     Args:
         graphs: of what happens at once.
-        weights: of the graphs: the heavier, the later a turn is held back whose size is not said.
+        weights: of the graphs: the heavier, the later a turn is held back whose size is not said; None is 1 for each.
     """
     turns = set()
-    for graph, weight in zip(graphs, weights, strict=True):
+    for graph, weight in zip(graphs, weights or [1.0] * len(graphs), strict=True):
         turn = read_turn(graph) if _TURNING.search(graph.caption) else None
         if turn is not None:
             turns.add(turn if turn.is_said else replace(turn, degrees=weight * turn.degrees))

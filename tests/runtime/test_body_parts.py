@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -28,6 +29,7 @@ from kinegraph.motion.body_parts import (
 )
 from kinegraph.motion.skeleton import JOINT_INDEX, bone_lengths
 from kinegraph.options import resolve_options
+from kinegraph.part_composition import join_clips
 from kinegraph.request import MANY_AT_ONCE, parts_hands
 from support.motions import posed, stand, turn, walk
 from support.toy import with_parser
@@ -215,6 +217,15 @@ def test_three_concepts_are_told_of_parts(toy: MotionPipeline) -> None:
     assert MANY_AT_ONCE in toy.compose(concepts, **HOW).notes
     assert MANY_AT_ONCE not in toy.compose(concepts[:2], **HOW).notes
     assert MANY_AT_ONCE not in toy.compose(concepts, method="parts", **HOW).notes
+
+
+def test_joined_clips_have_the_notes_of_all(toy: MotionPipeline) -> None:
+    clips = [
+        replace(toy.generate(text, **HOW), notes=notes) for text, notes in ((WALK, ("a", "b")), (WAVE, ("b", "c")))
+    ]
+    joined = join_clips(clips, dict.fromkeys([LEGS, TRUNK, *ARMS], 0))
+    assert joined.notes == ("a", "b", "c") and joined.text == WALK
+    assert np.abs(joined.joints - clips[0].joints).max() < 1e-4
 
 
 def test_one_concept_is_its_own_clip(toy: MotionPipeline) -> None:

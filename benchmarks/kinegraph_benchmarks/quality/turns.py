@@ -24,7 +24,7 @@ from kinegraph.arrays import FloatArray
 from kinegraph.bundle.contract import LEVELS
 from kinegraph.clip import Clip
 from kinegraph.decoding import MotionDecoder
-from kinegraph.motion.turning import net_turn
+from kinegraph.motion.turning import turned_to
 from kinegraph.options import GenerateOptions
 from kinegraph_benchmarks.common.arguments import add_arguments, benchmark_parser
 from kinegraph_benchmarks.common.predicates import SIDES
@@ -98,8 +98,8 @@ def as_made(pipe: MotionPipeline) -> MotionPipeline:
 
 def towards(joints: FloatArray, side: str, text: str = "{side}") -> float:
     """Measure a turn towards a side, degrees; either way if the text names none."""
-    turned = net_turn(joints)
-    return abs(turned) if "{side}" not in text else (turned if side == "left" else -turned)
+    sign = 1 if side == "left" else -1
+    return turned_to(joints, sign if "{side}" in text else 0)
 
 
 def generated_turns(pipe: MotionPipeline, kind: Kind, seeds: int) -> list[float]:
@@ -127,11 +127,11 @@ def summarise(turns: Sequence[float], asked: float) -> dict[str, Any]:
 
 def measure(pipe: MotionPipeline, seeds: int) -> dict[str, Any]:
     """Measure every kind with a pipeline, as made and as given."""
-    rows = {}
-    for name, kind in KINDS.items():
-        runs = {"made": as_made(pipe), "given": pipe}
-        rows[name] = {run: summarise(generated_turns(way, kind, seeds), kind.degrees) for run, way in runs.items()}
-    return rows
+    runs = {"made": as_made(pipe), "given": pipe}
+    return {
+        name: {run: summarise(generated_turns(way, kind, seeds), kind.degrees) for run, way in runs.items()}
+        for name, kind in KINDS.items()
+    }
 
 
 def markdown_table(result: Mapping[str, Any]) -> str:

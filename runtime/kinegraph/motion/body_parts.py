@@ -13,7 +13,7 @@ import numpy as np
 
 from kinegraph.arrays import FloatArray
 from kinegraph.motion.postprocess import enforce_bone_lengths
-from kinegraph.motion.skeleton import JOINT_INDEX, PELVIS, bone_lengths
+from kinegraph.motion.skeleton import JOINT_INDEX, PELVIS, bone_lengths, heading_across
 
 LEGS: Final = "legs"
 TRUNK: Final = "trunk"
@@ -38,9 +38,7 @@ def chest_heading(joints: FloatArray) -> FloatArray:
 
 
 def _heading(joints: FloatArray, ends: str) -> FloatArray:
-    across = joints[:, JOINT_INDEX[f"right_{ends}"]] - joints[:, JOINT_INDEX[f"left_{ends}"]]
-    heading: FloatArray = np.unwrap(np.arctan2(across[:, 2], -across[:, 0])).astype(np.float32)
-    return heading
+    return heading_across(joints[:, JOINT_INDEX[f"right_{ends}"]] - joints[:, JOINT_INDEX[f"left_{ends}"]])
 
 
 def rotate_about_y(vectors: FloatArray, angle: FloatArray) -> FloatArray:
@@ -51,27 +49,28 @@ def rotate_about_y(vectors: FloatArray, angle: FloatArray) -> FloatArray:
 
 
 def move_arm(source: FloatArray, target: FloatArray, arm: str) -> FloatArray:
-    """Give a motion an arm of another: (t, 22, 3), in which it is to the chest as it was, and turns with it.
+    """Copy an arm from one motion to another, relative to the chest, which it turns with.
 
     Args:
-        source: (t, 22, 3) metres, that moves the arm.
+        source: (t, 22, 3) metres, of the arm.
         target: (t, 22, 3) metres, of the rest.
         arm: of `ARMS`.
     """
-    members = list(ARMS[arm])
-    relative = rotate_about_y(source[:, members] - source[:, CHEST : CHEST + 1], -chest_heading(source))
-    moved = target.copy()
-    moved[:, members] = rotate_about_y(relative, chest_heading(target)) + target[:, CHEST : CHEST + 1]
-    return moved
+    return _copy_onto(source, target, ARMS[arm], CHEST, "collar")
 
 
 def move_upper_body(source: FloatArray, target: FloatArray) -> FloatArray:
-    """Give a motion trunk, head and arms of another, to the hips as they were; see `move_arm`."""
-    members = list(UPPER_BODY)
-    relative = rotate_about_y(source[:, members] - source[:, :1], -_heading(source, "hip"))
-    moved = target.copy()
-    moved[:, members] = rotate_about_y(relative, _heading(target, "hip")) + target[:, :1]
-    return moved
+    """Copy trunk, head and arms from one motion to another, relative to the hips; see `move_arm`."""
+    return _copy_onto(source, target, UPPER_BODY, PELVIS, "hip")
+
+
+def _copy_onto(source: FloatArray, target: FloatArray, members: Sequence[int], anchor: int, ends: str) -> FloatArray:
+    """Copy joints relative to one joint, and to the line between the left and the right one of a kind."""
+    joints, anchored = list(members), slice(anchor, anchor + 1)
+    relative = rotate_about_y(source[:, joints] - source[:, anchored], -_heading(source, ends))
+    copied = target.copy()
+    copied[:, joints] = rotate_about_y(relative, _heading(target, ends)) + target[:, anchored]
+    return copied
 
 
 def activity(joints: FloatArray, part: str) -> float:

@@ -88,8 +88,14 @@ def facing_angle(joints: Floats) -> FloatArray:
         (frames,) radians, unwrapped.
     """
     across = (joints[:, RIGHT_HIP] - joints[:, LEFT_HIP]) + (joints[:, RIGHT_SHOULDER] - joints[:, LEFT_SHOULDER])
+    return heading_across(across)
+
+
+def heading_across(across: Floats) -> FloatArray:
+    """Compute headings (frames,) from a line through the body (frames, 3), right minus left; see `facing_angle`."""
     # cross((0, 1, 0), a) = (a_z, 0, -a_x)
-    return np.unwrap(np.arctan2(across[:, 2], -across[:, 0])).astype(np.float32)
+    heading: FloatArray = np.unwrap(np.arctan2(across[:, 2], -across[:, 0])).astype(np.float32)
+    return heading
 
 
 def canonicalise(joints: FloatArray) -> FloatArray:

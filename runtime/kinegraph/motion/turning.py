@@ -46,6 +46,13 @@ def net_turn(joints: FloatArray) -> float:
     return float(np.degrees(heading[-1] - heading[0]))
 
 
+def turned_to(joints: FloatArray, side: int, shown: Span | None = None) -> float:
+    """Measure how far a motion turns to a side, degrees; see `turn_by`."""
+    first, last = _ends(joints, shown)
+    made = net_turn(joints[first : last + 1])
+    return made * side if side else abs(made)
+
+
 def has_heading(joints: FloatArray) -> bool:
     """Tell whether it is clear all the time where a body faces, as it is not while one falls or rolls on its side.
 
@@ -57,7 +64,7 @@ def has_heading(joints: FloatArray) -> bool:
 
 
 def turn_by(joints: FloatArray, fps: float, degrees: float, side: int, shown: Span | None = None) -> FloatArray:
-    """Let a motion with a heading turn by exactly so much, if it turns that way by half of it at least.
+    """Scale the turn of a motion to `degrees` exactly, if it turns that way by half of them at least.
 
     Args:
         joints: (frames, 22, 3) metres, from the origin on and facing +Z.
@@ -66,18 +73,18 @@ def turn_by(joints: FloatArray, fps: float, degrees: float, side: int, shown: Sp
         side: 1 to the left, -1 to the right, 0 the way that it turns.
         shown: first frame and the one behind the last of those in which the turn is measured; None is all.
     """
-    made = _turned_to(joints, side, shown)
+    made = turned_to(joints, side, shown)
     is_meant = made * MOST_LONGER >= degrees and has_heading(joints)
     return scale_turn(joints, fps, degrees / made, shown) if is_meant else joints
 
 
 def hold_back_turn(joints: FloatArray, fps: float, degrees: float, side: int, shown: Span | None = None) -> FloatArray:
-    """Let a motion turn hardly further than so much, by 40 % at most; what turns further still does.
+    """Hold back the turn of a motion beyond `degrees`: it ends 40 % beyond them at most, and a larger one stays larger.
 
     Args:
         joints, fps, degrees, side, shown: see `turn_by`.
     """
-    made = _turned_to(joints, side, shown)
+    made = turned_to(joints, side, shown)
     if made <= degrees or not has_heading(joints):
         return joints
     further = BEYOND * (1.0 - np.exp(-(made / degrees - 1.0) / BEYOND_SCALE))
@@ -114,12 +121,6 @@ def smooth_with_ends(values: DoubleArray, deviation: float) -> DoubleArray:
     before, after = 2 * values[0] - values[reach:0:-1], 2 * values[-1] - values[-2 : -reach - 2 : -1]
     smoothed: DoubleArray = np.convolve(np.concatenate([before, values, after]), window / window.sum(), mode="valid")
     return smoothed
-
-
-def _turned_to(joints: FloatArray, side: int, shown: Span | None) -> float:
-    first, last = _ends(joints, shown)
-    made = net_turn(joints[first : last + 1])
-    return made * side if side else abs(made)
 
 
 def _reach(joints: FloatArray) -> float:
