@@ -2,7 +2,8 @@
 
 A gesture is a path of the wrists in the frame of the chest, entered from the pose that the body has, held or repeated,
 and left again. Waving and clapping are oscillations of that path; nodding is one of the head. A bow bends the trunk
-over the hips, which go back while the feet stay. The rest is a recording of somebody who stands or walks.
+over the hips, which go back while the feet stay; of sitting see `sitting`. The rest is a recording of somebody who
+stands or walks.
 """
 
 from __future__ import annotations
@@ -14,11 +15,13 @@ from typing import Final
 import numpy as np
 
 from kinegraph.arrays import DoubleArray, FloatArray
-from kinegraph.motion.skeleton import JOINT_INDEX, JOINT_NAMES, start_at_origin
+from kinegraph.motion.skeleton import JOINT_INDEX, start_at_origin
 from kinegraph_training.data.clips import MotionClip
 from kinegraph_training.data.common_skeleton import trunk_frames
 from kinegraph_training.metrics import FPS
 from kinegraph_training.synthetic.caption_grammar import CAPTIONS, concept_caption
+from kinegraph_training.synthetic.posing import TRUNK, pose_arm, shift_hips, smoothstep, turn_about, unit
+from kinegraph_training.synthetic.sitting import SITTING, sit
 
 ENTER_SECONDS: Final = (0.4, 0.8)
 """Range of the time that a hand takes to its place, and back."""
@@ -32,14 +35,6 @@ BOW_BACK: Final = 0.12
 ARMS_HANG: Final = 0.6
 """Share of a bow that the arms do not follow, as they hang."""
 HOLD_SECONDS: Final = (0.8, 3.5)
-REACH: Final = 0.985
-"""Largest distance of shoulder and wrist as a share of the straight arm."""
-TRUNK: Final = tuple(
-    JOINT_INDEX[name]
-    for name in JOINT_NAMES
-    if name.endswith(("neck", "head", "collar", "shoulder", "elbow", "wrist")) or name.startswith("spine")
-)
-"""Joints above the pelvis, parents first."""
 CLIP_SECONDS: Final = (2.0, 6.0)
 MIN_SECONDS: Final = 1.8
 STAYS: Final = 0.3
@@ -87,6 +82,7 @@ MADE: Final[dict[str, tuple[str, tuple[str, ...]]]] = {
     "spread-arms": ("spread", ("left", "right")),
     "nod": ("nod", ()),
     "bow": ("bow", ()),
+    **dict.fromkeys(SITTING, ("sit", ())),
 }
 """Label -> its gesture and the arms that make it."""
 
@@ -103,6 +99,8 @@ def make_gesture(body: FloatArray, label: str, rng: np.random.Generator) -> Floa
         (frames, 22, 3) with the body's bone lengths.
     """
     name, arms = MADE[label]
+    if name == "sit":
+        return sit(body, label, rng)
     if name == "bow":
         return bow(body, gesture_weight(len(body), rng, BOW_SECONDS), rng)
     weight = gesture_weight(len(body), rng)
@@ -133,61 +131,6 @@ def gesture_weight(frames: int, rng: np.random.Generator, seconds: tuple[float, 
     return smoothstep(np.minimum(np.clip(rise, 0, 1), np.clip(fall, 0, 1)))
 
 
-def smoothstep(t: DoubleArray) -> DoubleArray:
-    """Ease in and out: 3 t^2 - 2 t^3."""
-    return t * t * (3.0 - 2.0 * t)
-
-
-def pose_arm(body: FloatArray, side: str, place: DoubleArray, pole: DoubleArray, weight: DoubleArray) -> FloatArray:
-    """Move one wrist along a path by two-bone inverse kinematics.
-
-    Args:
-        body: (frames, 22, 3).
-        side: "left" or "right".
-        place: (frames, 3) of the wrist from the shoulder, in the chest's frame of the left arm: outwards, up, forward.
-        pole: (3,) direction of the elbow in the same frame.
-        weight: (frames,) 0 leaves the arm as it is, 1 puts the wrist in its place.
-    """
-    shoulder, elbow, wrist = (JOINT_INDEX[f"{side}_{name}"] for name in ("shoulder", "elbow", "wrist"))
-    _, chest = trunk_frames(body)
-    outwards = np.array([1.0 if side == "left" else -1.0, 1.0, 1.0])
-    origin = body[:, shoulder].astype(np.float64)
-    upper, fore = (np.linalg.norm(body[:, a] - body[:, b], axis=-1) for a, b in ((elbow, shoulder), (wrist, elbow)))
-    share = weight[:, None]
-    # The wrist goes around the shoulder, not through the body: direction and distance are blended apart.
-    own, target = body[:, wrist] - origin, np.einsum("tij,tj->ti", chest, place * outwards)
-    distance = (1 - weight) * np.linalg.norm(own, axis=-1) + weight * np.linalg.norm(target, axis=-1)
-    distance = np.clip(distance, np.abs(upper - fore) + 0.03, REACH * (upper + fore))
-    direction = _unit(_slerp(_unit(own), _unit(target), weight))
-    bend = (1 - share) * _unit(body[:, elbow] - origin) + share * _unit(chest @ (pole * outwards))
-    bend = _unit(bend - (bend * direction).sum(-1, keepdims=True) * direction)
-    middle, end = two_bones(origin, distance[:, None] * direction, bend, upper, fore)
-    out = body.copy()
-    moved = (weight > 0)[:, None]
-    out[:, elbow] = np.where(moved, middle, body[:, elbow])
-    out[:, wrist] = np.where(moved, end, body[:, wrist])
-    return out
-
-
-def two_bones(
-    origin: DoubleArray, reach: DoubleArray, bend: DoubleArray, upper: DoubleArray, lower: DoubleArray
-) -> tuple[DoubleArray, DoubleArray]:
-    """Place the middle and the end of a chain of two bones by the law of cosines.
-
-    Args:
-        origin: (frames, 3) of the chain.
-        reach: (frames, 3) from the origin to the end; no longer than both bones.
-        bend: (frames, 3) unit vector at a right angle to `reach`: where the middle goes.
-        upper: (frames,) length of the first bone.
-        lower: (frames,) length of the second.
-    """
-    distance = np.linalg.norm(reach, axis=-1).clip(min=1e-9)
-    # how far along the line to the end the middle stands, and how far beside it
-    along = (upper**2 - lower**2 + distance**2) / (2 * distance)
-    beside = np.sqrt(np.clip(upper**2 - along**2, 0.0, None))
-    return origin + (along / distance)[:, None] * reach + beside[:, None] * bend, origin + reach
-
-
 def nod(body: FloatArray, weight: DoubleArray, rng: np.random.Generator) -> FloatArray:
     """Let the head nod: it turns about the axis through the ears, 15 to 25 degrees down and back, again and again."""
     neck, head = JOINT_INDEX["neck"], JOINT_INDEX["head"]
@@ -212,67 +155,17 @@ def bow(body: FloatArray, weight: DoubleArray, rng: np.random.Generator) -> Floa
     """
     angle = np.radians(rng.uniform(*BOW_DEGREES)) * weight
     hips = [JOINT_INDEX["left_hip"], JOINT_INDEX["right_hip"]]
-    left = _unit((body[:, hips[0]] - body[:, hips[1]]).astype(np.float64) * [1, 0, 1])
+    left = unit((body[:, hips[0]] - body[:, hips[1]]).astype(np.float64) * [1, 0, 1])
     forward = np.cross(left, [0.0, 1.0, 0.0])
     out = shift_hips(body.astype(np.float64), -BOW_BACK * np.sin(angle)[:, None] * forward)
     for place, share in BOW_JOINTS.items():
         pivot = out[:, hips].mean(1) if place == "hips" else out[:, JOINT_INDEX[place]].copy()
         above = [JOINT_INDEX["pelvis"], *TRUNK] if place == "hips" else TRUNK[TRUNK.index(JOINT_INDEX[place]) + 1 :]
-        out[:, above] = _turn(out[:, above], pivot, left, share * angle)
+        out[:, above] = turn_about(out[:, above], pivot, left, share * angle)
     for side in ("left", "right"):
         shoulder, *arm = (JOINT_INDEX[f"{side}_{name}"] for name in ("shoulder", "elbow", "wrist"))
-        out[:, arm] = _turn(out[:, arm], out[:, shoulder], left, -ARMS_HANG * angle)
+        out[:, arm] = turn_about(out[:, arm], out[:, shoulder], left, -ARMS_HANG * angle)
     return np.where((weight > 0)[:, None, None], out, body).astype(body.dtype)
-
-
-def shift_hips(body: DoubleArray, shift: DoubleArray) -> DoubleArray:
-    """Move everything but the legs by `shift` (frames, 3), and bend the knees so that ankles and feet stay.
-
-    Where a leg would be too short, all goes down as far as it must.
-    """
-    legs = [[JOINT_INDEX[f"{side}_{name}"] for name in ("hip", "knee", "ankle")] for side in ("left", "right")]
-    drop = np.zeros(len(body))
-    for hip, _, ankle in legs:
-        span, moved = body[:, hip] - body[:, ankle], body[:, hip] + shift - body[:, ankle]
-        room = (span**2).sum(-1) - (moved[:, [0, 2]] ** 2).sum(-1)
-        drop = np.maximum(drop, moved[:, 1] - np.sqrt(room.clip(min=0.0)))
-    shift = shift - drop[:, None] * [0.0, 1.0, 0.0]
-    out = body.copy()
-    feet = [JOINT_INDEX[f"{side}_foot"] for side in ("left", "right")]
-    upper = [joint for joint in range(body.shape[1]) if joint not in (*feet, *(j for leg in legs for j in leg[1:]))]
-    out[:, upper] += shift[:, None]
-    for hip, knee, ankle in legs:
-        reach = body[:, ankle] - out[:, hip]
-        bones = (np.linalg.norm(body[:, a] - body[:, b], axis=-1) for a, b in ((knee, hip), (ankle, knee)))
-        direction = _unit(reach)
-        bend = body[:, knee] - body[:, hip]
-        bend = _unit(bend - (bend * direction).sum(-1, keepdims=True) * direction)
-        out[:, knee], _ = two_bones(out[:, hip], reach, bend, *bones)
-    return out
-
-
-def _turn(points: DoubleArray, pivot: DoubleArray, axis: DoubleArray, angle: DoubleArray) -> DoubleArray:
-    """Turn points (frames, joints, 3) about an axis (frames, 3) through a pivot (frames, 3) by angles (frames,)."""
-    axis, local = axis[:, None], points - pivot[:, None]
-    cos, sin = np.cos(angle)[:, None, None], np.sin(angle)[:, None, None]
-    along = (local * axis).sum(-1, keepdims=True) * axis
-    # Rodrigues' formula
-    return pivot[:, None] + local * cos + np.cross(axis, local) * sin + along * (1 - cos)
-
-
-def _unit(vectors: DoubleArray) -> DoubleArray:
-    return vectors / np.linalg.norm(vectors, axis=-1, keepdims=True).clip(min=1e-9)
-
-
-def _slerp(start: DoubleArray, end: DoubleArray, weight: DoubleArray) -> DoubleArray:
-    """Turn unit vectors (t, 3) into others along the great circle; opposite ones go by the straight line."""
-    cosine = np.clip((start * end).sum(-1), -1.0, 1.0)
-    angle = np.arccos(cosine)
-    near = (angle < 1e-3) | (angle > np.pi - 1e-2)
-    sine = np.where(near, 1.0, np.sin(angle))
-    first = np.where(near, 1.0 - weight, np.sin((1 - weight) * angle) / sine)
-    second = np.where(near, weight, np.sin(weight * angle) / sine)
-    return first[:, None] * start + second[:, None] * end
 
 
 def make_gestures(clips: Sequence[MotionClip], count: int, seed: int) -> list[MotionClip]:
