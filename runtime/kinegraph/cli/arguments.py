@@ -92,7 +92,7 @@ def add_compose(parser: argparse.ArgumentParser) -> None:
         "--agd",
         type=_floats,
         metavar="A,R",
-        help="step sizes of adaptive gradient descent, e.g. 0.1,0.1; default: off",
+        help="step sizes of adaptive gradient descent, e.g. 0.001,0.002; default: off",
     )
     add_constraints(parser)
     _add_seconds(parser)
