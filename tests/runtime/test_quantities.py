@@ -70,6 +70,7 @@ def test_quantities_are_read(caption: str, number: float, unit: str, words: str)
         "wave every 3 seconds", "once he arrives he bows", "two or three times", "jump 3x faster", "0 seconds",
         "for zero seconds", "-3 seconds", "for 9" + "9" * 400 + " seconds", "1e5 seconds", "for 99999999 seconds",
         "for ٣ seconds", "½ second", "", "two people dance", "raise both hands", "a man with two sticks",
+        "a person makes 90 degree turns", "two 180 degree jumps", "walk in 2 s-curves",
     ],
 )  # fmt: skip
 def test_what_is_vague_or_nonsense_is_not_read(caption: str) -> None:

@@ -91,6 +91,17 @@ def test_angles_are_read(text: str, degrees: list[float]) -> None:
         ("her walk bends to the left", UNSAID, 1, False),
         ("she spins to face the other way, going nowhere", HALF, 0, True),
         ("one full rotation on the spot", FULL, 0, True),
+        ("a person turns left with his hands behind his back", UNSAID, 1, False),
+        ("a person turns left with the back straight", UNSAID, 1, False),
+        ("a person turns left with arms fully extended", UNSAID, 1, False),
+        ("a person turns around right away", HALF, 0, True),
+        ("a person turns right away to the left", UNSAID, 1, False),
+        ("a person turns back", HALF, 0, True),
+        ("a person turns completely around", FULL, 0, True),
+        ("a person turns 180 to the left", HALF, 1, True),
+        ("a person does a 360", FULL, 0, True),
+        ("a person turns the whole body around", HALF, 0, True),
+        ("a person turns left for 90 seconds", UNSAID, 1, False),
     ],
 )
 def test_turns_are_read(parser: GraphParser, caption: str, degrees: float, side: int, is_said: bool) -> None:
@@ -114,6 +125,17 @@ def test_turns_are_read(parser: GraphParser, caption: str, degrees: float, side:
         "a person keeps turning left",
         "a person turns left and right",
         "a person walks in circles to the left",
+        "a person turns 1080 degrees to the left",
+        "a person turns left 90 degrees and another 90 degrees",
+        "a person turns 1.5 rotations",
+        "a person does two full turns",
+        "a person turns -90 degrees",
+        "a person turns 90 degrees to the left and then to the right",
+        "a person turns 90 degrees right then 45 left",
+        "a person turns left 90 degrees and then back",
+        "a person swings the right arm in a full circle",
+        "a person turns the wheel a quarter turn to the right",
+        "a person turns the upper body to the left",
         "a person walks in a circle, turning left",
         "a person walks, then turns right, then turns left",
         "a person walks without turning left",
@@ -263,6 +285,7 @@ def test_weights_of_concepts_weigh_turns(parser: GraphParser) -> None:
     assert turn_of([walk_left, walks], [0.5, 1.0]) == Turn(UNSAID / 2, 1, False)
     assert turn_of([around, walks], [0.5, 1.0]) == Turn(HALF, 0, True)
     assert turn_of([around, walk_left], [1.0, 1.0]) is None is turn_of([walks])
+    assert turn_of([walks, walk_left], [1.0, -0.4]) is None  # what must not happen
 
 
 def test_parts_that_follow_one_another_turn_and_tell_each_for_itself(toy: MotionPipeline) -> None:

@@ -56,11 +56,11 @@ def turned_to(joints: FloatArray, side: int, shown: Span | None = None) -> float
 def has_heading(joints: FloatArray) -> bool:
     """Tell whether it is clear all the time where a body faces, as it is not while one falls or rolls on its side.
 
-    The line through the hips stays at least half as long over the floor as it mostly is.
+    The line through the hips is at least half as long over the floor as it is.
     """
-    line = (joints[:, JOINT_INDEX["left_hip"]] - joints[:, JOINT_INDEX["right_hip"]]) * HORIZONTAL
-    length = np.linalg.norm(line, axis=1)
-    return bool(length.min() > 0.5 * np.median(length))
+    line = joints[:, JOINT_INDEX["left_hip"]] - joints[:, JOINT_INDEX["right_hip"]]
+    over_floor = np.linalg.norm(line * HORIZONTAL, axis=1)
+    return bool((over_floor > 0.5 * np.linalg.norm(line, axis=1)).all())
 
 
 def turn_by(joints: FloatArray, fps: float, degrees: float, side: int, shown: Span | None = None) -> FloatArray:

@@ -216,7 +216,9 @@ def _counted(words: Sequence[_Word], index: int) -> tuple[FoundQuantity | None, 
     unit = _text(words, unit_at)
     if _is_negative(words, index):
         return None, number.last
-    if unit in _UNITS:
+    if _DEGREES.fullmatch(unit):
+        return None, unit_at  # "90 degree turns" are not 90 turns
+    if unit in _UNITS and not (unit == "s" and _text(words, unit_at + 1) == "-"):  # "2 s-curves"
         return _length(words, index, unit_at, number)
     is_article = words[index].text in ("a", "an") and number.last == index
     if is_range or is_article:

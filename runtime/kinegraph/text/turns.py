@@ -40,16 +40,23 @@ _TO_A_SIDE: Final = re.compile(r"(?:rotat|spin|twirl|whirl)(?:e?s|ed|n?ing|e)?$"
 """Verbs of turns that go on, unless the sentence says how far."""
 _NOUN: Final = re.compile(
     r"\b(?:an?|one|the|sharp|slight|small|left|right|quarters?|half|full|complete|whole|degrees?)[ -](?:u-?)?"
-    r"(?:turn|rotation)\b|\bu-?turn\b|\babout[ -]?(?:face|turn)\b|\b(?:along|around|round) a (?:bend|curve)\b"
-    r"|\b(?:walk|path|way|course|run)\b[^,.;]*? (?:bends|curves)\b",
+    r"(?:turn|rotation)\b|\ban? (?:90|180|270|360)\b(?! \w*(?:sec|step|time|frame))"
+    r"|\bu-?turn\b|\babout[ -]?(?:face|turn)\b"
+    r"|\b(?:along|around|round) a (?:bend|curve)\b|\b(?:walk|path|way|course|run)\b[^,.;]*? (?:bends|curves)\b",
     re.IGNORECASE,
 )
 _CIRCLE: Final = re.compile(
     r"\b(?:in|around|along|walk\w*|run\w*|jog\w*) (?:an? |the )?(?:\w+ ){0,2}(?:circle|ring)\b", re.IGNORECASE
 )
 """One round, more or less."""
-_MEASURE: Final = re.compile(r"degree|°|\b(?:turn|circle|way\b|quarter|half|u\b|rotation|revolution)", re.IGNORECASE)
-"""Objects of "turns" that are no things."""
+_MEASURE: Final = re.compile(
+    r"(?:all )?(?:(?:an?|the|one|one's|his|her|their|its) )?(?:(?!an? |the |upper |lower )\w+[ -]){0,3}?"
+    r"(?:degree|°|turn|circle|ring\b|bend\b|curve|way\b|quarter|half|u\b|about\b|rotation|revolution|\d+$"
+    r"|body\b|(?:him|her|it|one)self\b|themsel(?:f|ves)\b)",
+    re.IGNORECASE,
+)
+"""Objects of "turns" that are no things, and the body itself."""
+_ARTICLE: Final = re.compile(r"(?:an?|the|his|her|their|its) ", re.IGNORECASE)
 _OTHER_SENSE: Final = re.compile(
     r"\w+ (?:off|over|up|down|into|upside|inside)\b"
     r"|\w+ on (?!the spot|one|place|(?:the|his|her|their|its|one)(?: left| right)? (?:heels?|foot|feet|legs?|toes?)\b)",
@@ -57,24 +64,43 @@ _OTHER_SENSE: Final = re.compile(
 )
 _WITHOUT_END: Final = re.compile(
     r"\b(?:ke(?:ep|eps|eping|pt) (?:on )?\w+ing|continu\w+|repeated\w*|again and again|always|several|many|times"
-    r"|more than once|twice|thrice|both ways|to and fro|back and forth|left and (?:to the )?right"
-    r"|right and (?:to the )?left|this way|(?:a?round|turns) and (?:a?round|turns)|circles|rings|loops?|spirals?)\b",
+    r"|more than once|twice|thrice|both ways|to and fro|back and forth|(?:and|then) back(?! to)"
+    r"|left and (?:to the )?right|right and (?:to the )?left|this way"
+    r"|(?:a?round|turns) and (?:a?round|turns)|circles|rings|loops?|spirals?)\b",
     re.IGNORECASE,
 )
 """Words of turns whose size they do not fix, and of paths."""
 _SLIGHT: Final = re.compile(r"\b(?:slight\w*|a little|a bit|small)\b", re.IGNORECASE)
 _ROUND: Final = r"(?:turn|circle|rotation|revolution|round|spin|way)\b"
 _AROUND: Final = re.compile(
-    r"\b(?:a?round|(?<!look )(?<!looks )(?<!looking )back)\b(?! (?:the|an?|his|her|their|its|this|that|one) )",
+    r"\ba?round\b(?! (?:the|an?|his|her|their|its|this|that|one) )"
+    r"|(?<=turn )back\b|(?<=turns )back\b|(?<=turned )back\b|(?<=turning )back\b|\bto (?:face|go) back\b",
     re.IGNORECASE,
 )
+_MORE_THAN_ONE: Final = re.compile(
+    r"\b(?:[2-9]|1\d|\d+\.\d+|two|three|four|five|six|seven|eight|nine|ten|both|couple of)(?: and a half)? (?:\w+ )?"
+    rf"{_ROUND[:-2]}s\b|-\d+ ?(?:degree|deg\b|°)",
+    re.IGNORECASE,
+)
+"""Sizes beyond one round, or that turn nobody."""
+_BARE: Final = re.compile(
+    r"\b(?:turn\w*|rotat\w*|spin\w*|pivot\w*|by|an?) (45|90|135|180|270|360)\b"
+    r"(?! ?(?:deg|°|cm\b|m\b|met|%|percent|\w*(?:sec|step|time|frame)))",
+    re.IGNORECASE,
+)
+"""Degrees without the word: "turns 180", "does a 360"."""
 _SIZES: Final = (
     (re.compile(r"\bthree[ -]quarters?\b", re.IGNORECASE), THREE_QUARTERS),
     (re.compile(r"\bquarter\b", re.IGNORECASE), QUARTER),
     (re.compile(rf"\bhalf[ -]?(?:an? )?{_ROUND}|\bu-?turn\b|\babout[ -]?(?:face|turn)\b", re.IGNORECASE), HALF),
     (re.compile(r"\b(?:the other way|(?:the )?opposite)\b", re.IGNORECASE), HALF),
     (
-        re.compile(rf"\b(?:full|complete|whole) {_ROUND}|\b(?:completely|entirely|fully|all the way)\b", re.IGNORECASE),
+        re.compile(
+            rf"\b(?:full|complete|whole) {_ROUND}|\ba?round (?:completely|entirely|fully)\b"
+            r"|\b(?:completely|entirely|fully|all the way) (?:a?round|to the|left|right)\b"
+            r"|(?:turn|rotat|spin|pivot)\w* (?:completely|entirely|fully)\b",
+            re.IGNORECASE,
+        ),
         FULL,
     ),
     (_AROUND, HALF),
@@ -83,7 +109,10 @@ _SIZES: Final = (
 _SIDES_OF_THE_BODY: Final = re.compile(r"\b(?:left|right) (?:foot|leg|heel|toes?|hand|arm|side)\b", re.IGNORECASE)
 _AGAINST_THE_CLOCK: Final = re.compile(r"\b(?:(?:counter|anti|contra)[ -]?clockwise|ccw)\b", re.IGNORECASE)
 _LEFT: Final = re.compile(r"\bleft\w*", re.IGNORECASE)
-_RIGHT: Final = re.compile(r"\b(?:right\w*|clockwise|cw)\b", re.IGNORECASE)
+_RIGHT: Final = re.compile(
+    r"\b(?:right\w*|clockwise|cw)\b(?! (?:away|after|now|there|here|angle|behind|beside|before|in front)\b)",
+    re.IGNORECASE,
+)
 
 
 def read_turn(graph: SemanticGraph) -> Turn | None:
@@ -91,7 +120,7 @@ def read_turn(graph: SemanticGraph) -> Turn | None:
 
     Actions that must not happen, and nodes of weight 0, count for nothing.
     """
-    if _WITHOUT_END.search(graph.caption):
+    if _WITHOUT_END.search(graph.caption) or _MORE_THAN_ONE.search(graph.caption):
         return None
     caption = graph.caption
     for node in (node for action in graph.actions for node in action.arguments if node.weight == 0):
@@ -123,14 +152,18 @@ def _turn_of(action: Action, clause: str) -> Turn | None:
     is_circle = _CIRCLE.search(clause) is not None
     is_noun = is_circle or _NOUN.search(clause) is not None
     is_turn, goes_on = (words.match(action.text) is not None for words in (_VERB, _TO_A_SIDE))
-    if not is_noun and (not (is_turn or goes_on) or _is_of_something_else(action, clause)):
+    if not (is_noun or is_turn or goes_on) or _moves_a_thing(action):
+        return None
+    if not is_noun and _OTHER_SENSE.match(clause[clause.find(action.text) :]):
         return None
     sides = _SIDES_OF_THE_BODY.sub("", _AGAINST_THE_CLOCK.sub("left", clause))
     left, right = _LEFT.search(sides) is not None, _RIGHT.search(sides) is not None
     degrees = _said_degrees(clause if (is_turn or is_noun) and not is_circle else _AROUND.sub("", clause))
-    if degrees is not None:
-        return Turn(degrees, int(left) - int(right), True)
-    if (goes_on and not is_circle) or (left and right):
+    if (left and right) or len(degrees) > 1 or not all(0 < each <= 2 * FULL for each in degrees):
+        return None
+    if degrees:
+        return Turn(degrees[0], int(left) - int(right), True)
+    if goes_on and not is_circle:
         return None
     weights = [node.weight for node in action.arguments if node.weight > 0 and _names_side(node.text)]
     usual = FULL if is_circle else SLIGHT if _SLIGHT.search(clause) else UNSAID
@@ -141,19 +174,15 @@ def _names_side(text: str) -> bool:
     return any(words.search(text) for words in (_LEFT, _RIGHT, _AGAINST_THE_CLOCK))
 
 
-def _is_of_something_else(action: Action, clause: str) -> bool:
-    """Tell whether a verb of turning has a thing as its object, or means something else with its particle."""
-    things = [
-        node
-        for node in action.arguments
-        if node.role in ("ARG1", "ARG2") and node.start > action.start and not _MEASURE.search(node.text)
-    ]
-    return bool(things) or _OTHER_SENSE.match(clause[clause.find(action.text) :]) is not None
+def _moves_a_thing(action: Action) -> bool:
+    """Tell whether an action has a thing or a limb as its object: "turns a wheel", "swings the arm in a circle"."""
+    behind = [node for node in action.arguments if node.start > action.start and not _MEASURE.match(node.text)]
+    return any(
+        node.role in ("ARG1", "ARG2") or (node.role == "OTHERS" and _ARTICLE.match(node.text)) for node in behind
+    )
 
 
-def _said_degrees(clause: str) -> float | None:
-    """Read the size of a turn; None where it is not said, or said more than once."""
-    degrees = find_degrees(clause)
-    if degrees:
-        return degrees[0] if len(degrees) == 1 and 0 < degrees[0] <= 2 * FULL else None
-    return next((size for words, size in _SIZES if words.search(clause)), None)
+def _said_degrees(clause: str) -> list[float]:
+    """Read all sizes of a turn; none where it is not said how far."""
+    degrees = find_degrees(clause) or [float(size) for size in _BARE.findall(clause)]
+    return degrees or [size for words, size in _SIZES if words.search(clause)][:1]
