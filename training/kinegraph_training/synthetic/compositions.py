@@ -243,7 +243,8 @@ def draw_gesture(
     if rng.random() < MADE_GESTURES:
         labels = sorted(label for label in MADE if MADE[label][1])
         return labels[int(rng.integers(len(labels)))]
-    return draw_of(gestures[style if style in gestures else sorted(gestures)[0]], rng)
+    other = NORMAL if NORMAL in gestures else sorted(gestures)[0]
+    return draw_of(gestures[style if style in gestures else other], rng)
 
 
 def make_sequences(

@@ -155,13 +155,14 @@ def bow(body: FloatArray, weight: DoubleArray, rng: np.random.Generator) -> Floa
     """
     angle = np.radians(rng.uniform(*BOW_DEGREES)) * weight
     hips = [JOINT_INDEX["left_hip"], JOINT_INDEX["right_hip"]]
-    left = unit((body[:, hips[0]] - body[:, hips[1]]).astype(np.float64) * [1, 0, 1])
+    axis = unit((body[:, hips[0]] - body[:, hips[1]]).astype(np.float64))  # through both, so that they keep their bones
+    left = unit(axis * [1, 0, 1])
     forward = np.cross(left, [0.0, 1.0, 0.0])
     out = shift_hips(body.astype(np.float64), -BOW_BACK * np.sin(angle)[:, None] * forward)
     for place, share in BOW_JOINTS.items():
         pivot = out[:, hips].mean(1) if place == "hips" else out[:, JOINT_INDEX[place]].copy()
         above = [JOINT_INDEX["pelvis"], *TRUNK] if place == "hips" else TRUNK[TRUNK.index(JOINT_INDEX[place]) + 1 :]
-        out[:, above] = turn_about(out[:, above], pivot, left, share * angle)
+        out[:, above] = turn_about(out[:, above], pivot, axis if place == "hips" else left, share * angle)
     for side in ("left", "right"):
         shoulder, *arm = (JOINT_INDEX[f"{side}_{name}"] for name in ("shoulder", "elbow", "wrist"))
         out[:, arm] = turn_about(out[:, arm], out[:, shoulder], left, -ARMS_HANG * angle)

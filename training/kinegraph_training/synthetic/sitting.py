@@ -49,7 +49,8 @@ def sit(body: FloatArray, label: str, rng: np.random.Generator) -> FloatArray:
     weight = seated_weight(len(body), label, rng)
     hips = [JOINT_INDEX["left_hip"], JOINT_INDEX["right_hip"]]
     middle = body[:, hips].astype(np.float64).mean(1)
-    left = unit((body[:, hips[0]] - body[:, hips[1]]).astype(np.float64) * [1, 0, 1])
+    axis = unit((body[:, hips[0]] - body[:, hips[1]]).astype(np.float64))
+    left = unit(axis * [1, 0, 1])
     forward = np.cross(left, [0.0, 1.0, 0.0])
     height, back = rng.uniform(*SEAT), rng.uniform(*BACK)
     down = np.maximum(middle[:, 1] - body[:, :, 1].min() - height, 0.0)
@@ -57,7 +58,7 @@ def sit(body: FloatArray, label: str, rng: np.random.Generator) -> FloatArray:
     out = shift_hips(body.astype(np.float64), shift, 2.0 * weight[:, None] * forward)
     lean = rng.uniform(*ON_THE_WAY) * np.sin(np.pi * weight) + rng.uniform(*SEATED) * weight
     above = [PELVIS, *TRUNK]
-    out[:, above] = turn_about(out[:, above], out[:, hips].mean(1), left, np.radians(lean))
+    out[:, above] = turn_about(out[:, above], out[:, hips].mean(1), axis, np.radians(lean))
     if rng.random() < ON_THIGHS:
         place = np.tile(np.array(THIGHS) + rng.normal(0.0, 0.02, 3), (len(body), 1))
         for side in ("left", "right"):
