@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -161,6 +162,12 @@ def test_the_last_frame_is_the_first_again() -> None:
         poses = canonical_poses(loop.joints)
         np.testing.assert_allclose(poses[-1], poses[0], atol=1e-5)
         assert np.ptp(bone_lengths(loop.joints), axis=0).max() < 1e-4
+
+
+@pytest.mark.parametrize(("frames", "fps"), [(8, 30.0), (12, 60.0), (20, 120.0), (8, 240.0)])
+def test_short_clips_of_many_frames_a_second_loop(frames: int, fps: float) -> None:
+    loop = replace(clip(walk(frames)), fps=fps).looped()
+    assert loop.loops and frames / 2 <= loop.frames <= frames
 
 
 def test_nothing_jumps_or_slides_where_a_round_ends() -> None:

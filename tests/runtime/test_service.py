@@ -129,6 +129,7 @@ def test_concepts_sequences_and_characters_are_taken(served: Any, toy: MotionPip
         ({**REQUEST, "names": "maya"}, "joint names"),
         ({**REQUEST, "names": 3}, "names must be text"),
         ({**REQUEST, "character": "../hero.glb"}, "there is no character"),
+        ({**REQUEST, "character": "hero.glb", "names": "mixamo"}, "leave out names"),
         ({**REQUEST, "character": "notes.txt"}, "there are hero.glb"),
         ({**REQUEST, "character": "hero.glb", "format": "bvh"}, "is a .glb"),
         ({"texts": []}, "list of sentences"),

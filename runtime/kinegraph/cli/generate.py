@@ -225,7 +225,7 @@ def run_command(args: argparse.Namespace, targets: Sequence[Path], make_clips: M
     clips = [_post_process(clip, args) for clip in clips]
     generated = time.perf_counter()
     if not args.quiet:
-        _tell_unknown(clips[0])  # takes of one text share it
+        _tell_unknown(clips, targets)
     for target, clip in zip(targets, clips, strict=True):
         write_start = time.perf_counter()
         if character is None:
@@ -264,11 +264,21 @@ def _post_process(clip: Clip, args: argparse.Namespace) -> Clip:
     return clip if args.fps is None or args.character is not None else clip.resampled(args.fps)
 
 
-def _tell_unknown(clip: Clip) -> None:
-    """Print on stderr what of the text the bundle was never shown, and what it could not honour."""
-    if clip.unknown:
-        print(f"kinegraph: not known: {one_line(describe_unknown(clip.unknown))}", file=sys.stderr)
-    for note in clip.notes:
+def _tell_unknown(clips: Sequence[Clip], targets: Sequence[Path]) -> None:
+    """Print on stderr what of the text the bundle was never shown, and what it could not honour.
+
+    Takes of one text share what is unknown, and most notes; what is told of one take alone has its file before it.
+    """
+    if clips[0].unknown:
+        print(f"kinegraph: not known: {one_line(describe_unknown(clips[0].unknown))}", file=sys.stderr)
+    shared = [note for note in clips[0].notes if all(note in clip.notes for clip in clips)]
+    of_one = [
+        f"{target}: {note}"
+        for target, clip in zip(targets, clips, strict=True)
+        for note in clip.notes
+        if note not in shared
+    ]
+    for note in (*shared, *of_one):
         print(f"kinegraph: {one_line(note)}", file=sys.stderr)
 
 

@@ -315,7 +315,7 @@ class _RoundTravel:
 
 def _best_loop(joints: FloatArray, fps: float) -> tuple[int, int]:
     """Find the two frames that match best, with at least `MIN_LOOP` of the clip between them."""
-    stride = max(1, round(fps / SEARCH_FPS))
+    stride = max(1, min(round(fps / SEARCH_FPS), (len(joints) - 1) // 5))  # six frames at least to choose from
     features = matching_features(joints, fps)[::stride]
     min_length = max(4, round(MIN_LOOP * len(features)))
     cost = np.full((len(features) - min_length, len(features)), np.inf)
