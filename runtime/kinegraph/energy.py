@@ -90,7 +90,7 @@ def energy_maps(
     on_step = Deadline.start(timeout).watch(on_step)
     spec = validate_composition(concepts, method, text, lambdas, agd)
     options = resolve_options(pipe.manifest, seconds=seconds, seed=seed, steps=steps, guidance=guidance)
-    conditions, plan, options = pipe.encode_composition(spec, options, own_length=seconds is None)
+    conditions, plan, options, _ = pipe.encode_composition(spec, options, own_length=seconds is None)
     all_concepts = (*spec.concepts, *spec.negated)
     joint = Concept(spec.joint)
     # Each concept is mapped as the composition sees it: as a part of what happens, or as all of it.
@@ -114,7 +114,7 @@ def _encode_alone(
 ) -> tuple[Conditions, CompositionWeights]:
     """Encode a concept as a composition of itself with weight 1; `is_part` as in `CompositionSpec.partial`."""
     spec = replace(validate_composition([concept.text], "latent", None, None, None), partial=(is_part,))
-    conditions, plan, _ = pipe.encode_composition(spec, options, own_length=False)
+    conditions, plan, _, _ = pipe.encode_composition(spec, options, own_length=False)
     return conditions, plan.weights
 
 

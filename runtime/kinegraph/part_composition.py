@@ -73,7 +73,7 @@ def compose_parts(
     """
     if own_length:
         spec = validate_composition(concepts, "latent", None, None, None)
-        _, _, options = pipe.encode_composition(spec, options, own_length=True)
+        _, _, options, _ = pipe.encode_composition(spec, options, own_length=True)
     clips = [
         pipe.generate(
             concept.text,

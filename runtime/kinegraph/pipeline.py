@@ -66,6 +66,7 @@ from kinegraph.request import (
     NEVER_STOOD,
     STANDING,
     interpret,
+    interpret_composition,
     parts_hands,
     share_frames,
     split_in_order,
@@ -336,7 +337,7 @@ class MotionPipeline:
         unknown = self.find_unknown(graph, strict=strict)
         # 3. Text encoder and graph attention (Eq. 1-3); the sentence may tell the length
         encoded = self._encode_sentence(
-            graph, options, own_length=seconds is None, is_known=not unknown, in_order=wanted is None
+            graph, options, own_length=seconds is None, is_known=not unknown, in_order=wanted is None or not wanted.acts
         )
         deadline.check()
         # 4. Motion -> action -> specific latent; 5. latents -> features -> joints -> clip
@@ -433,7 +434,9 @@ class MotionPipeline:
         graphs = [self.as_graph(text) for text in deadline.each(texts)]
         unknown = self._unknown_of_each(graphs, strict)
         sentences = [
-            self._encode_sentence(graph, option, own_length=length is None, is_known=not words, in_order=wanted is None)
+            self._encode_sentence(
+                graph, option, own_length=length is None, is_known=not words, in_order=wanted is None or not wanted.acts
+            )
             for graph, option, length, words in deadline.each(zip(graphs, options, lengths, unknown, strict=True))
         ]
         if shared_run:
@@ -514,7 +517,7 @@ class MotionPipeline:
             )
         ]
         notes = tuple(dict.fromkeys(note for sentence in sentences for note in sentence.notes))
-        if len(sentences) == 1:
+        if len(sentences) == 1 and (method == "blend" or len(sentences[0].parts) == 1):
             return replace(pipe._make_clip(sentences[0], seeds[0], on_step), unknown=unknown, seed=options[0].seed)
         parts = [
             (part, part_seed(sentence_seed, index))
@@ -529,7 +532,8 @@ class MotionPipeline:
             make_parts = self._continue_parts if method == "continue" else self._make_parts
             clip = make_parts(parts, on_step, memory, of_sentence)
         notes = tuple(dict.fromkeys((*notes, *clip.notes)))
-        return replace(clip, text=text, unknown=unknown, notes=notes, seed=options[0].seed)
+        graph = graphs[0] if len(graphs) == 1 else None
+        return replace(clip, text=text, graph=graph, unknown=unknown, notes=notes, seed=options[0].seed)
 
     @_with_typed_memory_errors
     def compose(
@@ -598,11 +602,11 @@ class MotionPipeline:
         wanted = pipe._check_constraints(constraints, constraint_weight, constraint_fix, strict=strict)
         named = [concept.text for concept in (*spec.concepts, *spec.negated)]
         unknown = self.find_unknown(*named, *([] if text is None else [text]), strict=strict)
-        conditions, plan, options = pipe.encode_composition(spec, options, own_length=seconds is None)
+        conditions, plan, options, notes = pipe.encode_composition(spec, options, own_length=seconds is None)
         deadline.check()
         caption = spec.joint.caption if isinstance(spec.joint, SemanticGraph) else spec.joint
         on_latent = self._on_latent(on_level, options, caption)
-        notes = tuple(dict.fromkeys(note for graph in plan.graphs for note in self._notes_of(graph)))
+        notes = tuple(dict.fromkeys((*notes, *(note for graph in plan.graphs for note in self._notes_of(graph)))))
         notes += (MANY_AT_ONCE,) if len(spec.concepts) >= MANY else ()
         watch = deadline.watch(on_step)
         clip = pipe._decode_sample(conditions, plan.weights, options, caption, wanted, watch, on_latent)
@@ -810,8 +814,8 @@ class MotionPipeline:
 
     def encode_composition(
         self, spec: CompositionSpec, options: GenerateOptions, *, own_length: bool
-    ) -> tuple[Conditions, SamplingPlan, GenerateOptions]:
-        """Parse and encode what is composed.
+    ) -> tuple[Conditions, SamplingPlan, GenerateOptions, tuple[str, ...]]:
+        """Parse, interpret and encode what is composed.
 
         Args:
             spec: what is composed.
@@ -819,18 +823,22 @@ class MotionPipeline:
             own_length: whether the concepts tell the length of the clip.
 
         Returns:
-            Conditions in the order of the plan's weights, the plan, and the options with the length.
+            Conditions in the order of the plan's weights, the plan, the options with the length, and what the sentences
+            ask for and do not get.
 
         Raises:
             InvalidInputError: the networks of the bundle cannot compute a term.
         """
         self.sampler.validate_composition(spec.lambdas, spec.agd)
         graphs = [self.as_graph(text) for text in spec.texts]
-        plan = SamplingPlan.for_composition(spec, graphs)
-        weights = [concept.weight for concept in spec.concepts]
-        options = replace(options, turn=turn_of(graphs[: len(weights)], weights))
-        features, options = self._encode(plan, options, own_length=own_length)
-        return self.encoder.attend(features), plan, options
+        said = None if own_length else options.seconds
+        asked = interpret_composition(spec, graphs, self.manifest, self.vocabulary, said)
+        plan = SamplingPlan.for_composition(asked.spec, asked.graphs)
+        if asked.seconds is not None:
+            options = with_seconds(options, self.manifest, asked.seconds)
+        options = replace(options, turn=asked.turn)
+        features, options = self._encode(plan, options, own_length=own_length and asked.seconds is None)
+        return self.encoder.attend(features), plan, options, asked.notes
 
     def as_graph(self, text: str | SemanticGraph) -> SemanticGraph:
         """Return a graph as it is, and parse a sentence."""
@@ -939,6 +947,8 @@ class MotionPipeline:
         wanted: Wanted | None = None,
     ) -> Clip:
         """Sample and decode an encoded sentence."""
+        if wanted is not None and not wanted.acts and wanted.kept is None:
+            return self._make_untouched(sentence, seed, on_step, on_level, wanted)
         if len(sentence.parts) > 1:
             seeded = [(part, part_seed(seed, index)) for index, part in enumerate(sentence.parts)]
             clip = replace(self._make_parts(seeded, on_step), text=sentence.graph.caption)
@@ -947,6 +957,14 @@ class MotionPipeline:
             on_latent = self._on_latent(on_level, part.options, sentence.graph.caption)
             clip = self._sample(part, seed, on_step, on_latent, wanted)
         return replace(clip, graph=sentence.graph, notes=(*sentence.notes, *clip.notes))
+
+    def _make_untouched(
+        self, sentence: _EncodedSentence, seed: int, on_step: OnStep | None, on_level: OnLevel | None, wanted: Wanted
+    ) -> Clip:
+        """Make the clip without constraints that all weigh nothing, and tell how far it is from them."""
+        fitting = wanted.for_clip(sum(part.options.frames for part in sentence.parts), self.manifest.fps)
+        clip = self._make_clip(sentence, seed, on_step, on_level)
+        return replace(clip, misses=fitting.misses(clip.joints, self.manifest.fps), notes=(*clip.notes, *fitting.notes))
 
     def _make_parts(
         self,
@@ -1208,14 +1226,16 @@ class MotionPipeline:
                 EncodedInterval(part.features, None if part.plan.is_plain else part.plan.weights, each)
                 for each, part in zip(timeline, parts, strict=True)
             ]
-            options = replace(parts[0].options, seed=seed)
+            turn = parts[0].options.turn if len(parts) == 1 else None  # of several, each has its own frames
+            options = replace(parts[0].options, seed=seed, turn=turn)
             stages = (self.encoder, self.sampler, self.decoder)
             return make_timeline(*stages, encoded, options, overlap, on_step, wanted)
         if overlap is not None:
             raise InvalidInputError('overlap is for space="frames"; in latent space parts are blended as in a sequence')
         groups = self._compose_groups(timeline, parts)
         if len(groups) == 1:
-            return self._sample(groups[0], seed, on_step)
+            clip = self._sample(groups[0], seed, on_step)
+            return clip if len(timeline) == 1 else replace(clip, graph=None)
         return self._make_parts([(part, seed + index) for index, part in enumerate(groups)], on_step)
 
     def _compose_groups(self, timeline: Sequence[Interval], parts: Sequence[_EncodedPart]) -> list[_EncodedPart]:

@@ -16,7 +16,7 @@ from typing import Final
 
 from kinegraph.bundle.manifest import Manifest
 from kinegraph.bundle.vocabulary import Vocabulary
-from kinegraph.concepts import SamplingPlan
+from kinegraph.concepts import SPOKEN_NEGATION_WEIGHT, CompositionSpec, Concept, SamplingPlan
 from kinegraph.errors import InvalidGraphError
 from kinegraph.graph import Action, Argument, SemanticGraph
 from kinegraph.interpretation import (
@@ -62,7 +62,9 @@ _KNOWN_SUBJECT: Final = re.compile(
 )
 """Beginnings of sentences about somebody whom training captions name: a quick look, too."""
 _TURNING: Final = re.compile(
-    r"turn|rotat|pivot|swivel|veer|swerve|spin|twirl|whirl|about[ -]?face|bend|curve|circle|\bring\b", re.IGNORECASE
+    r"turn|rotat|pivot|swivel|veer|swerve|spin|twirl|whirl|about[ -]?face|bend|curve|circle|\bring\b"
+    r"|\ba (?:180|270|360)\b",
+    re.IGNORECASE,
 )
 """Words of turns: a quick look, too."""
 _WORDINGS: Final = re.compile("|".join(pattern for pattern, _ in WORDINGS), re.IGNORECASE)
@@ -113,7 +115,7 @@ def interpret(
     quantities = read_quantities(graph)
     for quantity in quantities:
         length, note = _spoken_seconds(quantity, manifest)
-        notes += [] if note is None else [note]
+        notes += [] if note is None or (seconds is not None and quantity.unit != "times") else [note]
         if length is not None:
             lengths.setdefault(quantity.action, length)
     for quantity in reversed(quantities):
@@ -138,6 +140,65 @@ def interpret(
     )
 
 
+@dataclass(frozen=True)
+class AskedComposition:
+    """What the sentences of a composition ask for."""
+
+    spec: CompositionSpec
+    """With what the sentences negate among the negated concepts."""
+    graphs: tuple[SemanticGraph, ...]
+    """Of its `texts`, in words that the model was shown."""
+    seconds: float | None
+    """The longest length that a sentence asks for; None if none does, or the caller gave one."""
+    turn: Turn | None
+    notes: tuple[str, ...]
+
+
+def interpret_composition(
+    spec: CompositionSpec,
+    graphs: Sequence[SemanticGraph],
+    manifest: Manifest,
+    vocabulary: Vocabulary | None = None,
+    seconds: float | None = None,
+) -> AskedComposition:
+    """Read the sentences of a composition, each as `interpret` does.
+
+    What a sentence negates must not happen beside the others either: it is one more negated concept (Eq. 8), once.
+
+    Args:
+        spec: what is composed.
+        graphs: of its `texts`, as the user wrote them.
+        manifest, vocabulary, seconds: as in `interpret`.
+
+    Raises:
+        InvalidGraphError: see `interpret`.
+    """
+    count = len(spec.concepts)
+    weights = [
+        *(concept.weight for concept in spec.concepts),
+        *(1.0 for _ in graphs[count : len(graphs) - len(spec.negated)]),
+        *(concept.weight for concept in spec.negated),
+    ]
+    wanted, negated, lengths, notes = [], dict[str, Concept](), [], list[str]()
+    for graph, weight in zip(graphs, weights, strict=True):
+        request = interpret(graph, manifest, vocabulary, seconds)
+        if weight < 0 and request.negated:  # what must not happen, and negates something: as it is
+            wanted.append(graph)
+            continue
+        wanted.append(request.wanted)
+        if weight > 0:
+            lengths += [] if request.seconds is None else [request.seconds]
+            notes += request.notes
+            for unwanted in request.negated:
+                negated.setdefault(unwanted.caption, Concept(unwanted, SPOKEN_NEGATION_WEIGHT))
+    more = tuple(negated.values())
+    asked = replace(spec, negated=(*spec.negated, *more), partial=(*spec.partial, *(True for _ in more)))
+    turn = turn_of(graphs[:count], weights[:count])
+    unwanted_graphs = [concept.text for concept in more if isinstance(concept.text, SemanticGraph)]
+    told = tuple(dict.fromkeys(notes))
+    return AskedComposition(asked, (*wanted, *unwanted_graphs), max(lengths, default=None), turn, told)
+
+
 def parts_hands(graph: SemanticGraph) -> bool:
     """Tell whether one action of a graph is for the left hand and another for the right.
 
@@ -160,11 +221,12 @@ def turn_of(graphs: Sequence[SemanticGraph], weights: Sequence[float] | None = N
 
     Args:
         graphs: of what happens at once.
-        weights: of the graphs: the heavier, the later a turn is held back whose size is not said; None is 1 for each.
+        weights: of the graphs: the heavier, the later a turn is held back whose size is not said, and below 0 it does
+            not count; None is 1 for each.
     """
     turns = set()
     for graph, weight in zip(graphs, weights or [1.0] * len(graphs), strict=True):
-        turn = read_turn(graph) if _TURNING.search(graph.caption) else None
+        turn = read_turn(graph) if weight > 0 and _TURNING.search(graph.caption) else None
         if turn is not None:
             turns.add(turn if turn.is_said else replace(turn, degrees=weight * turn.degrees))
     return turns.pop() if len(turns) == 1 else None

@@ -293,7 +293,7 @@ def test_a_weight_between_is_the_latent_aware_composition_of_with_and_without(
     # Both are all that happens, where concepts of a composition would be parts of it.
     spec = dataclasses.replace(validate_composition(both, "latent", None, None, None), partial=(False, False))
     options = resolve_options(toy.manifest, **few)
-    conditions, plan, _ = toy.encode_composition(spec, options, own_length=False)
+    conditions, plan, _, _ = toy.encode_composition(spec, options, own_length=False)
     latents = toy.sampler.sample(conditions, plan.weights, [options])
     expected = toy.decoder.decode(latents, [options], [graph.caption])[0].joints
     np.testing.assert_allclose(toy.generate(edited, **few).joints, expected, atol=1e-4)

@@ -12,7 +12,7 @@ import pytest
 
 pytest.importorskip("spacy")
 
-from kinegraph import MotionPipeline
+from kinegraph import MotionPipeline, frame_timeline
 from kinegraph.bundle.contract import FRAMES
 from kinegraph.diffusion.composition import CompositionWeights
 from kinegraph.diffusion.sampling import StepInfo, ddim_coefficients
@@ -254,6 +254,21 @@ def test_a_bundle_without_skeleton_space_says_how_to_add_it(toy: MotionPipeline)
     for call in (bare.generate, lambda text, **options: bare.compose([text], **options), edit):
         with pytest.raises(InvalidInputError, match=r"no skeleton space; .* python -m kinegraph_export.add_frames"):
             call(WALKS, **CLIP)
+
+
+def test_a_turn_of_one_interval_is_not_that_of_all(toy: MotionPipeline, monkeypatch: pytest.MonkeyPatch) -> None:
+    asked = []
+
+    def make(*args: Any) -> Any:
+        asked.append(next(arg for arg in args if isinstance(arg, GenerateOptions)).turn)
+        return make_timeline(*args)
+
+    make_timeline = frame_timeline.make_timeline
+    monkeypatch.setattr(frame_timeline, "make_timeline", make)
+    left = "a person turns left by 90 degrees"
+    toy.timeline([Interval(left, 0.0, 2.0)], seed=4, space=FRAMES)
+    toy.sequence([left, left], method="energy", seconds=2.0, seed=4)
+    assert asked[0] is not None and asked[0].degrees == 90 and asked[1] is None
 
 
 def test_a_sequence_by_energy_is_a_timeline_of_its_parts(toy: MotionPipeline) -> None:

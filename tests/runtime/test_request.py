@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -9,10 +10,10 @@ import pytest
 
 from kinegraph import InvalidInputError, MotionPipeline, Waypoint
 from kinegraph.bundle.manifest import Manifest
-from kinegraph.concepts import SPOKEN_NEGATION_WEIGHT
+from kinegraph.concepts import SPOKEN_NEGATION_WEIGHT, validate_composition
 from kinegraph.graph import Action, SemanticGraph
 from kinegraph.options import part_seed, resolve_options
-from kinegraph.request import AT_ONCE, STANDING, interpret, share_frames, split_in_order
+from kinegraph.request import AT_ONCE, STANDING, interpret, interpret_composition, share_frames, split_in_order
 
 pytest.importorskip("spacy")
 
@@ -52,6 +53,8 @@ def test_the_length_that_the_caller_gives_goes_first(toy: MotionPipeline) -> Non
     spoken = toy.generate("a person walks for two seconds", **FEW)
     assert spoken.duration == 2.0 and spoken.text == "a person walks for two seconds"
     assert toy.generate("a person walks for two seconds", seconds=3, **FEW).duration == 3.0
+    assert interpret(toy.parse("a person walks for 20 seconds"), toy.manifest, seconds=4.0).notes == ()
+    assert len(interpret(toy.parse("a person bows twice"), toy.manifest, seconds=4.0).notes) == 1
     plain = toy.generate("a person walks", seconds=2, **FEW)
     np.testing.assert_array_equal(spoken.joints, plain.joints)  # the model is not told of seconds
 
@@ -76,6 +79,36 @@ def test_actions_in_order_are_parts_in_a_shared_run_too(toy: MotionPipeline) -> 
         np.testing.assert_allclose(clip.joints, own.joints, atol=1e-3)
     parts = toy.sequence(["a person walks forward", "a person bows"], **{**FEW, "seconds": 1.5, "seed": 5})
     assert parts.frames == shared[0].frames == 60
+
+
+@pytest.mark.parametrize("method", ["latent", "semantic", "fused"])
+def test_concepts_are_read_as_sentences_are(toy: MotionPipeline, method: str) -> None:
+    text = "a person walks for two seconds without waving the hands"
+    composed = toy.compose([text], method=method, **FEW)
+    assert composed.text == text and composed.duration == 2.0
+    np.testing.assert_allclose(composed.joints, toy.generate(text, **FEW).joints, atol=1e-4)
+    two = toy.compose(["he walks for two seconds", "a person nods for 30 seconds"], method=method, **FEW)
+    assert two.duration == 9.8 and any("for 30 seconds" in note for note in two.notes)
+
+
+def test_what_several_concepts_negate_counts_once(toy: MotionPipeline) -> None:
+    texts = ["a person walks without waving", "a person nods without waving"]
+    spec = validate_composition(texts, "fused", None, None, None)
+    asked = interpret_composition(spec, [toy.parse(text) for text in map(str, spec.texts)], toy.manifest)
+    assert [(each.caption, each.weight) for each in asked.spec.negated] == [("a person waves", SPOKEN_NEGATION_WEIGHT)]
+    assert [graph.caption for graph in asked.graphs[:2]] == ["a person walks", "a person nods"]
+    assert len(asked.graphs) == len(asked.spec.texts) == len(asked.spec.partial) == 4
+    toy.compose(texts, seconds=1, **FEW)
+
+
+def test_constraints_that_weigh_nothing_change_nothing(toy: MotionPipeline) -> None:
+    held = [Waypoint(1.0, (0.0, 0.5))]
+    for text in (ORDERED, "a person raises the left hand while waving the right hand"):
+        plain = toy.generate(text, seconds=3, **FEW)
+        for how in ({"constraint_weight": 0.0}, {"constraints": [replace(held[0], weight=0.0)]}):
+            clip = toy.generate(text, seconds=3, **{"constraints": held, **how}, **FEW)
+            np.testing.assert_array_equal(clip.joints, plain.joints)
+            assert clip.notes == plain.notes and len(clip.misses) == 1 and clip.misses[0].metres > 0
 
 
 def test_actions_in_order_that_are_made_at_once_are_told(toy: MotionPipeline) -> None:
