@@ -62,6 +62,35 @@ def test_steps_are_undone_and_done_again_also_after_a_reload(open_page: Open, se
     wait_until(page, lambda: field.input_value() == "a person runs")
 
 
+def test_a_link_is_a_step_after_the_work_that_was_kept(open_page: Open, server: PlaygroundClient) -> None:
+    page = open_page(server.url, 900, 620)
+    field = page.get_by_label("What should the person do?")
+    generate(page, "a person runs", seconds="1", seed="5", steps="2")
+    for address, text in (
+        ("text=a+person+walks&seconds=1&seed=3&steps=2", "a person walks"),
+        ("concepts={}", "a person walks"),  # a link that says nothing of ours
+    ):
+        page.goto("about:blank")
+        page.goto(f"{server.url}#{address}")
+        page.wait_for_selector("html[data-shown]", state="attached")
+        wait_until(page, lambda text=text: field.input_value() == text)  # type: ignore[misc]
+    page.reload()
+    page.wait_for_selector("html[data-shown]", state="attached")
+    page.locator("canvas").press("Control+z")
+    wait_until(page, lambda: field.input_value() == "a person runs" and seed_of(page) == "5")
+
+
+def test_files_are_of_the_clip_that_is_seen(open_page: Open, server: PlaygroundClient) -> None:
+    page = open_page(server.url, 900, 620, refused=True)
+    generate(page, "a person runs", seconds="1", seed="5", steps="2")
+    runs = download(page, ".npz", "a_person_runs_5.npz")
+    page.route("**/api/clip", lambda route: route.fulfill(status=400, json={"error": "no clip today"}))
+    page.get_by_label("What should the person do?").fill("a person bows")
+    page.get_by_role("button", name="Generate").click()
+    wait_until(page, lambda: page.locator(".error").first.is_visible())
+    assert download(page, ".npz", "a_person_runs_5.npz") == runs
+
+
 def test_a_project_is_a_file_and_another_browser_goes_on_with_it(
     open_page: Open, server: PlaygroundClient, tmp_path: Path
 ) -> None:

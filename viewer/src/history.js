@@ -41,13 +41,19 @@ export function createHistory(onchange = () => {}) {
       return at < entries.length - 1 ? told(entries[++at]) : null;
     },
     toJSON: () => ({ entries, at }),
-    /** All of another history; an error leaves this one as it is. */
+    /** Another history, without the steps that are none; an error leaves this one as it is. */
     load(value) {
-      const found = (value?.entries ?? []).slice(-MOST_ENTRIES).map(({ project, seed }) => ({
-        project: checked(project),
-        ...(typeof seed === "string" && /^\d{1,19}$/.test(seed) && { seed }),
-      }));
-      if (!found.length) throw new Error("This is no project of kinegraph: nothing is in it.");
+      let wrong = null;
+      const found = (value?.entries ?? []).slice(-MOST_ENTRIES).flatMap((entry) => {
+        try {
+          const { project, seed } = entry;
+          return [{ project: checked(project), ...(typeof seed === "string" && /^\d{1,19}$/.test(seed) && { seed }) }];
+        } catch (error) {
+          wrong = error;
+          return [];
+        }
+      });
+      if (!found.length) throw wrong ?? new Error("This is no project of kinegraph: nothing is in it.");
       entries = found;
       at = Math.min(Math.max(Number(value.at) || 0, 0), found.length - 1);
       onchange();

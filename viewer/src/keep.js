@@ -17,8 +17,16 @@ export function createKeep(storages = [() => sessionStorage, () => localStorage]
     return null;
   };
   return {
+    /** Keep the newest steps that there is room for, the present one among them. */
     save(history) {
-      const text = JSON.stringify(history);
+      let { entries, at } = history.toJSON();
+      const written = () => JSON.stringify({ entries, at });
+      while (written().length > MOST && entries.length > 1) {
+        const [cut, end] = [Math.min(at, Math.ceil(entries.length / 4)), entries.length - 1];
+        entries = cut ? entries.slice(cut) : entries.slice(0, Math.ceil(end / 2));
+        at -= cut;
+      }
+      const text = written();
       each((storage) => {
         if (text.length <= MOST) storage.setItem(KEY, text);
       });

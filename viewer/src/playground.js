@@ -18,7 +18,7 @@ import { fittedLayers, MOST_LAYERS } from "./layering.js";
 import { linked, linkOf } from "./link.js";
 import { createMaker } from "./maker.js";
 import { createOutput } from "./output.js";
-import { cutAt, edges, inserted, isSequence, kindOf, newProject, projectOf, segmentAt, wishOf } from "./project.js";
+import { checked, cutAt, edges, inserted, isSequence, kindOf, newProject, projectOf, segmentAt, wishOf } from "./project.js";
 import { createProjectFiles } from "./project_file.js";
 import { createResult } from "./result.js";
 import { createTakes } from "./takes.js";
@@ -49,6 +49,7 @@ export async function openPlayground(side, play, stage, transport, clock) {
   const at = (name) => document.querySelector(name);
   const made = new Map(); // wish with its seed, as JSON -> the server's event
   let project = newProject(play.example);
+  let seen = project; // what the clip that is seen was made of: the form may hold other words by then
   let selected = 0; // segment in the form
   let seed = null; // of the clip that is seen
   let kept = []; // actors beside it
@@ -73,7 +74,7 @@ export async function openPlayground(side, play, stage, transport, clock) {
   const { field } = form;
   const marks = createMarks(field.text, at(".behind"));
   const words = createWords(at(".words"), field.text, play.phrases, say);
-  const result = createResult(at(".result"), () => linkOf(wishOf(project, seed), project.output));
+  const result = createResult(at(".result"), () => linkOf(wishOf(seen, seed), project.output));
   const takes = createTakes(at(".takes"), { pick, more }, drawTake);
   const output = createOutput(at(".export"), play, { shape, output: files, fetch: fetchFile, fail });
   const characters = createCharacters(at(".character"), at(".dropping"), play.character_bytes, { changed: dress, fail, project: (file) => projectFiles.open(file) });
@@ -160,21 +161,21 @@ export async function openPlayground(side, play, stage, transport, clock) {
     if (focused.hidden && buttons.includes(focused)) at(".generate").focus(); // the keyboard stays where it was
   }
 
-  /** The own character with a clip of the present project, or null. */
-  const dressed = (clip, signal) =>
-    characters.current ? api.character(wishOf(project, clip.seed), characters.current, {}, signal) : null;
+  /** The own character with a clip of a project, or null. */
+  const dressed = (clip, signal, of = seen) =>
+    characters.current ? api.character(wishOf(of, clip.seed), characters.current, {}, signal) : null;
 
-  /** What stands around a clip that is seen now. */
-  function settle(event, actor, { seen = null, isTaken = true } = {}) {
-    [newest, shown, seed] = [event.clip, actor, event.clip.seed];
-    const anew = (seen && event.made) || null; // sentences that were made now
-    result.show(event.clip, event.stages, seen, madeOf(anew, project.segments.length));
+  /** What stands around a clip of a project that is seen now; `took` is how long it was until then. */
+  function settle(of, event, actor, { took = null, isTaken = true } = {}) {
+    [seen, newest, shown, seed] = [of, event.clip, actor, event.clip.seed];
+    const anew = (took && event.made) || null; // sentences that were made now
+    result.show(event.clip, event.stages, took, madeOf(anew, of.segments.length));
     at(".export").hidden = false;
-    output.show(event.clip, wishOf(project, seed), characters.current?.name ?? null);
+    output.show(event.clip, wishOf(of, seed), characters.current?.name ?? null);
     drawTimeline(project, anew);
     constraining.show(event.clip.misses ?? []);
-    if (isTaken) takes.add(kindOf(project), seed, event);
-    takes.show(kindOf(project), seed);
+    if (isTaken) takes.add(kindOf(of), seed, event);
+    takes.show(kindOf(of), seed);
     takes.lock.checked = "seed" in project.sampling;
     history.amend({ seed });
     count("shown");
@@ -194,10 +195,11 @@ export async function openPlayground(side, play, stage, transport, clock) {
     selected = Math.min(selected, project.segments.length - 1);
     if (step) history.push({ project });
     const wish = wishOf(project, own);
-    const done = await maker.make(wish, { changes, sketches: !characters.current, draft: draft && !characters.current, finish: dressed });
+    const finish = (clip, signal) => dressed(clip, signal, next);
+    const done = await maker.make(wish, { changes, sketches: !characters.current, draft: draft && !characters.current, finish });
     if (!done?.actor) return false;
-    remember(wishOf(project, done.event.clip.seed), done.event);
-    settle(done.event, done.actor, { seen: done.seen, isTaken });
+    remember(wishOf(next, done.event.clip.seed), done.event);
+    settle(next, done.event, done.actor, { took: done.seen, isTaken });
     if (!maker.running) busy(false);
     count("made");
     return true;
@@ -231,11 +233,11 @@ export async function openPlayground(side, play, stage, transport, clock) {
     if (!event) return make(project, { own: entry.seed ?? project.sampling.seed, changes, step: false });
     const clip = { ...event.clip, label: named(event.clip, wishOf(project, event.clip.seed)) };
     dressing = new AbortController();
-    const character = await Promise.resolve(dressed(event.clip, dressing.signal)).catch((error) => error);
+    const character = await Promise.resolve(dressed(event.clip, dressing.signal, entry.project)).catch((error) => error);
     if (own !== asked) return false; // another step was asked for meanwhile
     if (character instanceof Error) fail(character);
     const actor = await show(clip, !changes, character instanceof Error ? null : character);
-    if (actor) settle(event, actor);
+    if (actor) settle(entry.project, event, actor);
     busy(false);
   }
 
@@ -350,7 +352,7 @@ export async function openPlayground(side, play, stage, transport, clock) {
   }
 
   async function fetchFile(suffix) {
-    const wish = wishOf(project, seed);
+    const wish = wishOf(seen, seed);
     const { fps, root, names } = project.output;
     if (characters.current && suffix === ".glb") return new Blob([await api.character(wish, characters.current, { fps, root })]);
     return api.file(wish, suffix, { fps, ...(play.named.includes(suffix) && { root, names }) });
@@ -361,10 +363,10 @@ export async function openPlayground(side, play, stage, transport, clock) {
     if (!newest) return true;
     maker.say("Putting it on", 0.5);
     try {
-      const actor = await show({ ...newest, label: named(newest, wishOf(project, seed)) }, false, await dressed(newest));
+      const actor = await show({ ...newest, label: named(newest, wishOf(seen, seed)) }, false, await dressed(newest));
       if (actor) {
         shown = actor;
-        output.show(newest, wishOf(project, seed), characters.current?.name ?? null);
+        output.show(newest, wishOf(seen, seed), characters.current?.name ?? null);
         count("shown");
       }
       fail(null);
@@ -448,13 +450,24 @@ export async function openPlayground(side, play, stage, transport, clock) {
   characters.restore(file);
   begin();
 
-  /** What the link says, or what was kept, or the clip that the page came with. */
+  /** What a link says, as a step; null for a link that says nothing of ours. */
+  function stepOf({ wish, output: shape }) {
+    try {
+      return { project: checked(projectOf(wish, shape)), ...(wish.seed && { seed: wish.seed }) };
+    } catch (error) {
+      fail(error);
+      return null;
+    }
+  }
+
+  /** What the link says, or what was kept, or the clip that the page came with. A link is a step after what was kept. */
   function begin() {
-    const link = linked();
     const reloaded = performance.getEntriesByType("navigation")[0]?.type === "reload";
     if (play.opening) remember(wishOf(project, play.opening.seed), { clip: play.opening });
-    const had = (!link || reloaded) && keep.load(history);
-    if (!had && link) history.push({ project: projectOf(link.wish, link.output), ...(link.wish.seed && { seed: link.wish.seed }) });
+    const had = keep.load(history);
+    const found = had && reloaded ? null : linked(); // what a link said is kept when the page is loaded again
+    const link = found && stepOf(found);
+    if (link) history.push(link);
     else if (!had) history.push({ project, ...(play.opening && { seed: play.opening.seed }) });
     const { now } = history;
     // Another page may open a link, and may not drive this one: then it is made when it is asked for.
@@ -462,7 +475,7 @@ export async function openPlayground(side, play, stage, transport, clock) {
       project = now.project;
       form.fill(project, 0);
       output.fill(project);
-      maker.say("Press Generate to make what the link says");
+      maker.say(link ? "Press Generate to make what the link says" : "Press Generate to make it");
     } else go(now);
     if (matchMedia("(pointer: fine)").matches) field.text.focus();
   }

@@ -2,7 +2,7 @@
 import { fileName } from "./describe.js";
 import { element } from "./elements.js";
 
-const MOST = 5_000_000; // bytes of a file that is read
+const MOST = 50_000_000; // bytes of a file that is read: a hundred steps of many poses have a tenth
 
 /** on: {opened(), fresh(), fail(error)} */
 export function createProjectFiles(menu, history, on) {
@@ -10,7 +10,7 @@ export function createProjectFiles(menu, history, on) {
   const close = () => (menu.open = false);
 
   function save() {
-    const text = JSON.stringify({ kinegraph: 1, ...history.toJSON() }, null, 1);
+    const text = JSON.stringify({ kinegraph: 1, ...history.toJSON() });
     const url = URL.createObjectURL(new Blob([text], { type: "application/json" }));
     const { project, seed = "" } = history.now;
     const words = project.concepts ? project.concepts.concepts[0]?.text : project.segments[0].text;

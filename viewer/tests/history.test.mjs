@@ -47,6 +47,28 @@ test("it has a limit, and comes back from JSON", () => {
   assert.deepEqual(other.now, entry("x"));
 });
 
+test("steps that are none are left out, and the others stay", () => {
+  const history = createHistory();
+  history.load({ entries: [entry("a", "1"), { project: { segments: 3 } }, null, entry("b", "2")], at: 3 });
+  assert.equal(words(history.now), "b");
+  assert.equal(words(history.undo()), "a");
+});
+
+test("of a history that has no room, the newest steps are kept", () => {
+  const own = storage();
+  const long = (text) => ({ project: { ...newProject(text), constraints: [{ pose: "x".repeat(300_000) }] } });
+  for (const undone of [0, 11]) {
+    const history = createHistory();
+    for (let k = 0; k < 12; k++) history.push(long(`step ${k}`));
+    for (let k = 0; k < undone; k++) history.undo();
+    createKeep([() => own]).save(history);
+    assert.ok(own.getItem("kinegraph").length < 2_000_001);
+    const found = createHistory();
+    assert.ok(createKeep([() => own]).load(found));
+    assert.equal(words(found.now), words(history.now));
+  }
+});
+
 function storage(most = Infinity) {
   const held = new Map();
   return {
