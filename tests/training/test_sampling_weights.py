@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
-from collections import Counter
+from collections import Counter, defaultdict
 
 import numpy as np
 import pytest
 
 pytest.importorskip("torch")
+import lightning as L
+import torch
+from torch.utils.data import DataLoader
 
 from kinegraph_training.config import DataConfig
 from kinegraph_training.data.clips import MotionClip
@@ -80,6 +83,27 @@ def test_autoencoders_draw_clips_as_often_as_their_weights_say() -> None:
     assert sampler.batches() == sampler.batches()
     once = FrameBudgetSampler(lengths, 400, seed=1).batches()
     assert sorted(index for batch in once for index in batch) == list(range(30))
+
+
+def test_each_epoch_of_a_run_draws_anew() -> None:
+    class Model(L.LightningModule):
+        def training_step(self, batch: torch.Tensor) -> torch.Tensor:
+            drawn[self.current_epoch] += batch.tolist()
+            return self.weight.sum()
+
+        def configure_optimizers(self) -> torch.optim.Optimizer:
+            return torch.optim.SGD([self.weight], 0.1)
+
+    drawn: defaultdict[int, list[int]] = defaultdict(list)
+    model = Model()
+    model.weight = torch.nn.Parameter(torch.zeros(1))
+    sampler = FrameBudgetSampler([40] * 30, 400, seed=1, weights=np.ones(30))
+    trainer = L.Trainer(
+        max_epochs=3, logger=False, enable_checkpointing=False, enable_progress_bar=False, use_distributed_sampler=False
+    )
+    trainer.fit(model, DataLoader(range(30), batch_sampler=sampler))
+    assert len(drawn) == 3 and all(len(indices) == 30 for indices in drawn.values())
+    assert len({tuple(sorted(indices)) for indices in drawn.values()}) == 3
 
 
 def test_what_is_wanted_often_comes_as_many_times_as_asked() -> None:

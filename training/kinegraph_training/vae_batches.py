@@ -42,8 +42,13 @@ class FrameBudgetSampler(Sampler[list[int]]):
         self.weights = None if weights is None else weights / weights.sum()
         self.epoch = 0
 
+    @property
+    def sampler(self) -> FrameBudgetSampler:
+        """Return itself: Lightning tells the epoch to the sampler of a batch sampler, and to nothing else."""
+        return self
+
     def set_epoch(self, epoch: int) -> None:
-        """Choose the epoch whose batches come next; Lightning calls this."""
+        """Choose the epoch whose batches come next."""
         self.epoch = epoch
 
     def __iter__(self) -> Iterator[list[int]]:
