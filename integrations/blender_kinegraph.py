@@ -72,7 +72,11 @@ def fetch(settings, seed, suffix, path, points):
             path.write_bytes(response.read())
         return
     except urllib.error.HTTPError as error:
-        raise Failed(json.loads(error.read()).get("error", str(error))) from error
+        try:
+            told = json.loads(error.read())["error"]
+        except (ValueError, KeyError, TypeError):  # not an answer of ours
+            told = str(error)
+        raise Failed(told) from error
     except (urllib.error.URLError, TimeoutError, ValueError) as error:
         if isinstance(error, ValueError):
             raise Failed(f"{settings.url} is no address of a server") from error
@@ -168,6 +172,7 @@ def copy_motion(source, target, name):
     target.animation_data_create().action = bpy.data.actions.new(name)
     across = target.matrix_world.inverted() @ source.matrix_world
     bones = [bone for bone in target.pose.bones if bone.name in source.pose.bones]
+    before = {}
     for frame in range(first, last + 1):
         scene.frame_set(frame)
         poses = {}
@@ -185,6 +190,9 @@ def copy_motion(source, target, name):
             bone.matrix_basis = (above @ local).inverted() @ poses[bone.name]
         for bone in bones:
             bone.rotation_mode = "QUATERNION"
+            if bone.name in before:  # q and -q turn alike, and between keys of both a bone would go the long way
+                bone.rotation_quaternion.make_compatible(before[bone.name])
+            before[bone.name] = bone.rotation_quaternion.copy()
             bone.keyframe_insert("rotation_quaternion", frame=frame)
             if bone.parent is None or bone.parent.name not in source.pose.bones or not bone.bone.use_connect:
                 bone.keyframe_insert("location", frame=frame)

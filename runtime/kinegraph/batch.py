@@ -22,11 +22,13 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import IO, Any, Final
 
+from kinegraph.bundle.reader import manifest_digest
 from kinegraph.clip import Clip
 from kinegraph.errors import InvalidInputError, KinegraphError, ModelError, OutputError
 from kinegraph.files import check_target
 from kinegraph.formats import WRITERS, check_clip_target, check_names, check_root, constraints_json
 from kinegraph.formats.character import DEFAULT_FPS, Character, read_character
+from kinegraph.motion.skeleton import DEFAULT_NAMES
 from kinegraph.options import MAX_SEED
 from kinegraph.pipeline import MotionPipeline
 from kinegraph.validation import check_fps
@@ -81,6 +83,8 @@ class BatchOptions:
             suffix = read_character(self.character).suffix
             if self.suffix != suffix:
                 raise InvalidInputError(f"clips on {self.character!r} are saved as {suffix}, not {self.suffix!r}")
+            if self.names != DEFAULT_NAMES:
+                raise InvalidInputError("names are for our own body, and a character keeps its own; leave out names")
             return
         if self.suffix not in WRITERS:
             raise InvalidInputError(f"format {self.suffix!r} must be one of {', '.join(sorted(WRITERS))}")
@@ -128,7 +132,7 @@ def make_batch(
     """Make the clips of a table, and yield each one's line of the manifest when it is written.
 
     Rows that the folder's manifest has already, with the same text, options and bundle, are left out if their file is
-    there. A row that fails gets a line with its error, and the others go on.
+    there; a bundle is the same if all its files are. A row that fails gets a line with its error, and the others go on.
 
     Args:
         rows: from `read_table`.
@@ -164,9 +168,15 @@ def unfinished(rows: Sequence[BatchRow], folder: str | os.PathLike[str], options
     """List the rows that `make_batch` would make."""
     target = Path(folder)
     done = _finished(target / MANIFEST)
+    digest = manifest_digest(options.bundle) if done else ""
 
     def is_there(row: BatchRow) -> bool:
-        return done.get(row.name) == _key(row, options) and (target / _file(row, options)).is_file()
+        if row.name not in done or not (target / _file(row, options)).is_file():
+            return False
+        try:
+            return done[row.name] == (_key(row, options), digest)
+        except InvalidInputError:  # a file that the row names is gone: `make` tells it
+            return False
 
     return [row for row in rows if not is_there(row)]
 
@@ -177,6 +187,7 @@ class ClipMaker:
     def __init__(self, folder: Path, options: BatchOptions, threads: int | None = 1) -> None:
         self._folder, self._options = folder, options
         self._pipeline = MotionPipeline.load(options.bundle, threads=threads)
+        self._digest = manifest_digest(options.bundle)
         self._character: Character | None = None
         if options.character is not None:
             self._character = read_character(options.character)
@@ -184,8 +195,9 @@ class ClipMaker:
     def make(self, row: BatchRow) -> dict[str, Any]:
         """Make and write a clip, and return its line of the manifest; an error is a line, too."""
         start = time.perf_counter()
-        record = {**asdict(row), "key": _key(row, self._options)}
+        record = asdict(row)
         try:
+            record |= {"key": _key(row, self._options), "bundle_sha256": self._digest}
             clip = self._pipeline.generate(
                 row.text,
                 constraints=() if row.constraints is None else constraints_json.read(row.constraints),
@@ -281,27 +293,39 @@ def _file(row: BatchRow, options: BatchOptions) -> str:
 
 
 def _key(row: BatchRow, options: BatchOptions) -> str:
-    """Digest what a file depends on: the row but its number, the options, and age and size of the files they name."""
+    """Digest what a file depends on: the row but its number, the options, and age and size of the files they name.
+
+    Raises:
+        InvalidInputError: one of these files is gone.
+    """
     made_of: dict[str, Any] = {**asdict(row), "row": None, **asdict(options)}
     if row.constraints is None:
         del made_of["constraints"]  # folders made before rows had constraints go on
     for name in ("character", "constraints"):
         if made_of.get(name) is not None:
-            status = Path(made_of[name]).stat()
+            try:
+                status = Path(made_of[name]).stat()
+            except OSError as error:
+                raise InvalidInputError(f"there is no file {made_of[name]!r} any more ({error.strerror})") from error
             made_of[name] = [made_of[name], status.st_size, status.st_mtime_ns]
     return hashlib.sha256(json.dumps(made_of, sort_keys=True).encode()).hexdigest()[:16]
 
 
-def _finished(manifest: Path) -> dict[str, str]:
-    """Read which names a manifest has, with their keys; the last line of a name counts, torn lines do not."""
-    done: dict[str, str] = {}
+def _finished(manifest: Path) -> dict[str, tuple[str, str]]:
+    """Read which names a manifest has, with key and digest of the bundle.
+
+    The last line of a name counts, torn lines do not. Lines without a digest, of earlier versions, are made again.
+    """
+    done: dict[str, tuple[str, str]] = {}
     if not manifest.is_file():
         return done
     with manifest.open(encoding="utf-8", errors="replace") as lines:
         for line in lines:
             try:
                 record = json.loads(line)
-                done[record["name"]] = record["key"] if "file" in record else ""
+                done[record["name"]] = (
+                    (record["key"], record.get("bundle_sha256", "")) if "file" in record else ("", "")
+                )
             except (ValueError, KeyError, TypeError, RecursionError):
                 continue
     return done

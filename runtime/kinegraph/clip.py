@@ -112,15 +112,17 @@ class Clip:
     def in_place(self) -> Clip:
         """Remove travel over the floor, for games that move the character themselves.
 
-        To get a loop in place, call `looped` first: a loop then also ends facing where it began.
+        To get a loop in place, call `looped` first: a loop then also ends facing where it began. How far the clip is
+        from constraints (`misses`) does not hold for it any more, and is left out.
         """
-        return replace(self, joints=in_place(self.joints, loops=self.loops))
+        return replace(self, joints=in_place(self.joints, loops=self.loops), misses=())
 
     def looped(self, *, foot_fix: bool = True) -> Clip:
         """Cut and blend the clip into a loop; see `motion.blending.make_loop`.
 
         The last frame is the first again, one round later, as animation programs, engines and glTF players expect: a
-        round takes (frames - 1) / fps seconds. `.gif` and `.mp4`, which show every frame, leave it out.
+        round takes (frames - 1) / fps seconds. `.gif` and `.mp4`, which show every frame, leave it out. It begins at
+        another frame and place, so `misses` are left out.
 
         Args:
             foot_fix: lock planted feet, also over the seam.
@@ -129,7 +131,7 @@ class Clip:
             InvalidInputError: fewer than 8 frames.
         """
         check_flag(foot_fix, "foot_fix")
-        return replace(self, joints=make_loop(self.joints, self.fps, foot_fix=foot_fix), loops=True)
+        return replace(self, joints=make_loop(self.joints, self.fps, foot_fix=foot_fix), loops=True, misses=())
 
     def onto(
         self,

@@ -93,7 +93,15 @@ def generate_timeline(
         raise InvalidInputError("a loop is for one sentence; for a timeline take `Clip.looped`")
     first = resolve_options(manifest, seconds=lengths[0], seed=seed).seed
     seeds = sentence_seeds(first, len(texts), seed_offsets)
-    frames = [frame_count(manifest, length) for length in lengths]
+    overlap = max(1, round(POSE_SECONDS * fps))
+    asked = [frame_count(manifest, length) for length in lengths]
+    # a part begins in the last frames of the one before, and is made with them
+    frames = [min(count, manifest.frames.max - overlap * bool(index)) for index, count in enumerate(asked)]
+    shortened = [
+        f"sentence {index + 1} has {made / fps:g} s, the most of one behind another"
+        for index, (count, made) in enumerate(zip(asked, frames, strict=True))
+        if made < count
+    ]
     ends = [float(end) for end in np.cumsum(frames) / fps]
     _check_times(constraints, ends[-1])
     layers = check_layers(layers, ends)
@@ -101,13 +109,12 @@ def generate_timeline(
     memory = PartMemory() if memory is None else check_memory(memory)
     memory.begin()
     parts = _Parts(pipeline, shared, on_step, len(texts), memory)
-    overlap = max(1, round(POSE_SECONDS * fps))
     whole: FloatArray | None = None
     clips: list[Clip] = []
     for index, (text, span) in enumerate(zip(texts, spans_of(ends), strict=True)):
         lead = 0 if whole is None else overlap
         frame = BodyFrame(np.zeros(3), 0.0) if whole is None else BodyFrame.of(whole[-overlap])
-        wanted = localised(constraints, span, ends[-1], lead / fps, frame)
+        wanted = localised(constraints, span, ends[-1], lead / fps, frame, 1 / fps)
         if whole is not None:
             # near the origin, however far the whole has come
             wanted = (StartPose(start_at_origin(whole[-overlap:]), fps=fps), *wanted)
@@ -117,7 +124,8 @@ def generate_timeline(
         whole = clip.joints if whole is None else append_part(whole, clip.joints, lead)
     assert whole is not None
     unknown = {words.text.lower(): words for clip in clips for words in clip.unknown}
-    notes = (*notes_of(layers, ends), *(note for clip in clips for note in clip.notes))
+    notes = (*shortened, *_untold(constraints, ends), *notes_of(layers, ends))
+    notes += tuple(note for clip in clips for note in clip.notes)
     return replace(
         clips[0],
         joints=whole,
@@ -176,8 +184,25 @@ def _check_times(constraints: Sequence[Constraint], whole: float) -> None:
             raise InvalidInputError(f"constraints[{index}]: {latest:g} s is behind the end, at {whole:g} s")
 
 
+def _untold(constraints: Sequence[Constraint], ends: Sequence[float]) -> tuple[str, ...]:
+    """Tell of joints whose place on the floor is given on one axis alone, which no later part can hold."""
+    return tuple(
+        f"{constraint.joint} behind the first sentence: one axis of the floor alone is not held; give both, or none"
+        for constraint in constraints
+        if isinstance(constraint, JointTarget)
+        and (constraint.position[0] is None) != (constraint.position[2] is None)
+        and constraint.interval[1] >= ends[0]
+        and len(ends) > 1
+    )
+
+
 def localised(
-    constraints: Sequence[Constraint], span: tuple[float, float], whole: float, lead: float, frame: BodyFrame
+    constraints: Sequence[Constraint],
+    span: tuple[float, float],
+    whole: float,
+    lead: float,
+    frame: BodyFrame,
+    frame_seconds: float = 0.0,
 ) -> tuple[Constraint, ...]:
     """Bring the constraints that fall into a part into its own frame.
 
@@ -187,6 +212,7 @@ def localised(
         whole: seconds of the whole clip.
         lead: seconds of the part before `span` begins, which overlap with the part before.
         frame: of the part.
+        frame_seconds: time of one frame: a path ends with the last frame, which begins so much before the end.
     """
     begin, end = span
     is_last = end >= whole - 1e-9
@@ -198,7 +224,7 @@ def localised(
             case EndPose():
                 found += [constraint] if is_last else []
             case Path():
-                found += _piece(constraint, span, whole, lead, frame)
+                found += _piece(constraint, span, whole - frame_seconds, lead, frame)
             case JointTarget():
                 found += _held(constraint, span, is_last, lead, frame)
             case Waypoint() if _is_in(constraint.seconds, span, is_last):
@@ -235,6 +261,9 @@ def _held(
             return []
         moments = (first - span[0] + lead, last - span[0] + lead)
     position = frame.to_body([0.0 if value is None else value for value in target.position]).tolist()
+    if frame.heading == 0:  # the first part has the axes of the whole
+        own = [None if wanted is None else place for wanted, place in zip(target.position, position, strict=True)]
+        return [replace(target, position=(own[0], own[1], own[2]), seconds=moments)]
     if target.position[0] is None or target.position[2] is None:
         # in a part that is turned, an axis of the floor that is free is no axis of the part
         free = (None, position[1], None)

@@ -17,6 +17,7 @@ from kinegraph.motion.blending import (
     BLEND_SECONDS,
     MAX_SHIFT,
     best_blend,
+    best_loop,
     best_transition,
     blend_margins,
     canonical_poses,
@@ -168,6 +169,11 @@ def test_the_last_frame_is_the_first_again() -> None:
 def test_short_clips_of_many_frames_a_second_loop(frames: int, fps: float) -> None:
     loop = replace(clip(walk(frames)), fps=fps).looped()
     assert loop.loops and frames / 2 <= loop.frames <= frames
+
+
+def test_long_clips_loop_in_reasonable_memory() -> None:
+    first, last = best_loop(np.tile(walk(200), (60, 1, 1)), FPS)
+    assert 0 <= first < last < 12_000 and last - first >= 5000
 
 
 def test_nothing_jumps_or_slides_where_a_round_ends() -> None:

@@ -66,6 +66,11 @@ def test_no_weight_of_all_constraints_is_the_clip_without_them(toy: MotionPipeli
     assert walk.misses == ()
 
 
+def test_a_clip_that_was_looped_or_set_in_place_tells_no_misses(toy: MotionPipeline) -> None:
+    clip = toy.generate(WALK, constraints=[ASIDE], **FEW)
+    assert clip.misses and clip.looped().misses == () == clip.in_place().misses
+
+
 def test_compositions_takes_and_batches_take_constraints(toy: MotionPipeline) -> None:
     composed = toy.compose([Concept(WALK), Concept(WAVE)], constraints=[ASIDE], **FEW)
     (one, two) = toy.takes(WALK, 2, constraints=[ASIDE], **FEW)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +12,7 @@ import pytest
 
 from kinegraph import MotionPipeline
 from kinegraph.batch import BatchOptions, make_batch, read_table, unfinished
+from kinegraph.bundle.reader import manifest_digest
 from kinegraph.cli import main
 from kinegraph.errors import InvalidInputError, ModelError
 from kinegraph.formats import read
@@ -98,6 +100,29 @@ def test_rows_are_made_failures_are_told_and_a_second_run_goes_on(
     assert (out / "000001_a-person-jumps.npz").is_file() and (out / "broken.npz").is_file()
     assert main(words) == 0
     assert json.loads(capsys.readouterr().out)["made"] == 0
+
+
+def test_clips_of_another_bundle_are_made_again(tmp_path: Path, toy_bundle: Path) -> None:
+    pytest.importorskip("spacy")
+    bundle = tmp_path / "bundle"
+    shutil.copytree(toy_bundle, bundle)
+    rows = read_table(table(tmp_path, "text,seconds\na person walks,1\n"))
+    options = BatchOptions(bundle=str(bundle))
+    (record,) = make_batch(rows, tmp_path / "out", options, workers=1)
+    assert record["bundle_sha256"] == manifest_digest(bundle) and not unfinished(rows, tmp_path / "out", options)
+    manifest = json.loads((bundle / "manifest.json").read_text())
+    (bundle / "manifest.json").write_text(json.dumps(manifest))  # the same name and version, other bytes
+    assert unfinished(rows, tmp_path / "out", options) == rows
+
+
+def test_a_row_whose_file_of_constraints_is_gone_fails_alone(tmp_path: Path, toy_bundle: Path) -> None:
+    pytest.importorskip("spacy")
+    (tmp_path / "path.json").write_text("[]")
+    text = "text,seconds,constraints\na person walks,1,path.json\na person runs,1,\n"
+    rows = read_table(table(tmp_path, text))
+    (tmp_path / "path.json").unlink()
+    made = list(make_batch(rows, tmp_path / "out", BatchOptions(bundle=str(toy_bundle)), workers=1))
+    assert ["error" in record for record in made] == [True, False] and "any more" in made[0]["error"]
 
 
 def test_processes_make_the_same_files_and_may_be_left_in_the_middle(

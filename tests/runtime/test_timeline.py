@@ -64,6 +64,34 @@ def test_a_joint_that_is_held_over_a_join_is_held_in_both_parts() -> None:
     assert isinstance(high, JointTarget) and high.position == (None, 1.2, None)
 
 
+def test_an_axis_alone_is_held_in_the_part_that_has_the_axes_of_the_whole(constrained: MotionPipeline) -> None:
+    first = BodyFrame(np.zeros(3), 0.0)
+    for position in ((0.3, None, None), (None, 1.5, 0.4), (0.3, 1.5, None)):
+        (held,) = localised([JointTarget("right hand", position, 1.0)], (0.0, 2.0), 6.0, 0.0, first)
+        assert isinstance(held, JointTarget) and held.position == position
+    late = [JointTarget("right hand", (0.3, 1.5, None), 1.5), JointTarget("left hand", (0.3, 1.5, 0.4), 1.5)]
+    clip = generate_timeline(constrained, TEXTS[:2], seconds=1, constraints=late, seed=3, steps=1)
+    assert [note for note in clip.notes if "one axis" in note] == [
+        "right_wrist behind the first sentence: one axis of the floor alone is not held; give both, or none"
+    ]
+
+
+def test_a_path_ends_with_the_last_frame(constrained: MotionPipeline) -> None:
+    path = Path([[0, 0], [0, 4]])
+    (second,) = localised([path], (2.0, 4.0), 4.0, 0.0, BodyFrame(np.zeros(3), 0.0), 0.05)
+    assert isinstance(second, Path) and second.times is not None
+    assert second.times[-1] == pytest.approx(1.95) and second.points[-1].tolist() == [0, 4]
+    pace = np.interp(0.5, second.times, second.points[:, 1]) - second.points[0, 1]
+    assert pace == pytest.approx(0.5 * 4 / 3.95)  # as `placements.misses_of` measures it
+
+
+def test_long_sentences_behind_another_are_shortened_and_told(constrained: MotionPipeline) -> None:
+    longest = constrained.manifest.seconds_limits[1]
+    clip = generate_timeline(constrained, TEXTS[:2], seconds=[1, longest], seed=3, steps=1)
+    assert clip.frames == 20 + constrained.manifest.frames.max - 4
+    assert any(note.startswith("sentence 2 has") for note in clip.notes)
+
+
 @pytest.fixture
 def constrained(toy: MotionPipeline) -> MotionPipeline:
     if not toy.sampler.sessions.decoder_gradients:

@@ -116,6 +116,18 @@ def read_manifest(path: Path) -> Manifest:
     return decode_manifest(_read(path, MANIFEST, MAX_MANIFEST_BYTES))
 
 
+def manifest_digest(path: str | Path | None = None) -> str:
+    """Digest the manifest of a bundle, which has the digests of all its files: SHA-256 in hexadecimal digits.
+
+    Args:
+        path: as in `read_bundle`.
+
+    Raises:
+        BundleError, BundleFormatError: as in `read_bundle`.
+    """
+    return hashlib.sha256(_read(_folder(path), MANIFEST, MAX_MANIFEST_BYTES)).hexdigest()
+
+
 def read_bundle(path: str | Path | None = None) -> Bundle:
     """Read a bundle and check that it is complete and unaltered, without opening a session.
 

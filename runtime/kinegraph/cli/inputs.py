@@ -139,6 +139,8 @@ def take_paths(output: Path, takes: int) -> list[Path]:
         raise InvalidInputError(f"takes must be a whole number from 1 to {MAX_TAKES}, not {takes}")
     if takes == 1:
         return [output]
+    if not output.name:
+        raise InvalidInputError(f"-o {str(output)!r} is a folder; name a file, such as walk.bvh")
     digits = len(str(takes))
     return [output.with_name(f"{output.stem}_{take:0{digits}}{output.suffix}") for take in range(1, takes + 1)]
 

@@ -197,6 +197,8 @@ def read_array(document: Document, binary: bytes, index: object) -> NDArray[Any]
     stride = view.get("byteStride", dtype.itemsize * width)
     if not all(isinstance(number, int) and number >= 0 for number in (count, offset, stride)):
         raise InvalidInputError(f"accessor {index} has lengths that are no whole numbers")
+    if count > 1 and stride < dtype.itemsize * width:
+        raise InvalidInputError(f"accessor {index} has elements that overlap")
     if count and offset + stride * (count - 1) + dtype.itemsize * width > len(binary):
         raise InvalidInputError(f"accessor {index} is not in the file")
     flat = np.ndarray((count, width), dtype, binary, offset, (stride, dtype.itemsize))

@@ -40,6 +40,8 @@ LOOP_BLEND_SECONDS: Final = 0.5
 """Duration over which the end of a loop is blended into its start."""
 SEARCH_FPS: Final = 20.0
 """Frames per second at which the ends of a loop are searched."""
+MOST_SEARCHED: Final = 2000
+"""Frames among which they are searched at most."""
 STAYS: Final = 0.15
 """Metres: a body that has travelled less than this in a round is meant to stay."""
 STRAIGHT: Final = 0.35
@@ -137,7 +139,7 @@ def make_loop(joints: FloatArray, fps: float, *, foot_fix: bool = True) -> Float
     """
     if len(joints) < 8:
         raise InvalidInputError(f"a loop needs 8 frames, this clip has {len(joints)}")
-    start, end = _best_loop(joints, fps)
+    start, end = best_loop(joints, fps)
     loop = _close_loop(_remove_drift(joints[start : end + 1]), fps)
     travel = _RoundTravel.of_loop(loop)
     if foot_fix:
@@ -313,9 +315,10 @@ class _RoundTravel:
         return rotate(conjugate(self.rotation), joints - self.end) + self.start
 
 
-def _best_loop(joints: FloatArray, fps: float) -> tuple[int, int]:
+def best_loop(joints: FloatArray, fps: float) -> tuple[int, int]:
     """Find the two frames that match best, with at least `MIN_LOOP` of the clip between them."""
     stride = max(1, min(round(fps / SEARCH_FPS), (len(joints) - 1) // 5))  # six frames at least to choose from
+    stride = max(stride, -(-len(joints) // MOST_SEARCHED))  # pairs of frames grow with the square of the length
     features = matching_features(joints, fps)[::stride]
     min_length = max(4, round(MIN_LOOP * len(features)))
     cost = np.full((len(features) - min_length, len(features)), np.inf)

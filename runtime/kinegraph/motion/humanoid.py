@@ -378,10 +378,10 @@ def _hand_limb(rig: Rig, path: Sequence[int]) -> tuple[int, int, int] | None:
 def _three(points: np.ndarray, path: Sequence[int], *, tip: bool) -> tuple[int, int, int] | None:
     """Choose the joints on a path with the longest and most even two bones; with `tip` the third is the path's end."""
     count = len(path)
+    if not 3 <= count <= 24:
+        return None
     ends = [count - 1] if tip else range(2, count)
     choices = [(i, j, k) for k in ends for j in range(1, k) for i in range(j)]
-    if not choices or count > 24:
-        return None
 
     def evenness(choice: tuple[int, int, int]) -> float:
         first, middle, last = (points[path[index]] for index in choice)

@@ -59,6 +59,8 @@ class GateMiddleware:
 def only_loopback(port: int) -> Refuse:
     """Refuse requests from elsewhere than this machine."""
     hosts = frozenset(f"{name}:{port}" for name in LOOPBACK_NAMES)
+    if port == 80:  # which browsers leave out
+        hosts |= frozenset(LOOPBACK_NAMES)
 
     def refuse(method: str, path: str, headers: Mapping[bytes, bytes]) -> tuple[int, str] | None:
         if headers.get(b"host", b"").decode("latin-1").lower() not in hosts:

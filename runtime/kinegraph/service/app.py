@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import base64
 import json
+import logging
 import secrets
 import threading
 import time
@@ -28,12 +29,14 @@ from kinegraph.errors import Cancelled, InvalidInputError, KinegraphError
 from kinegraph.pipeline import MotionPipeline
 from kinegraph.playground.app import EventStream, run_in_thread
 from kinegraph.playground.fair_queue import FairQueue, TooBusyError
-from kinegraph.playground.guards import RequestGuard, ServerLimits, run_until_left
-from kinegraph.playground.jobs import generate_clip
+from kinegraph.playground.guards import UNEXPECTED, RequestGuard, ServerLimits, run_until_left
+from kinegraph.playground.jobs import TookTooLongError, generate_clip
 from kinegraph.playground.middleware import GateMiddleware, only_loopback
 from kinegraph.playground.schemas import parse_json
 from kinegraph.service.openapi import API_PAGE, openapi
 from kinegraph.service.requests import MEDIA_TYPES, ServiceRequest, parse_request
+
+logger = logging.getLogger(__name__)
 
 STAGES: Final = ("queue", "generate", "encode")
 KEPT_TIMES: Final = 1000
@@ -92,6 +95,15 @@ class StageTimes:
             raise
         self.counts["made"] += 1
 
+    @contextmanager
+    def counting_refusals(self) -> Any:
+        """Count a request that cannot even wait."""
+        try:
+            yield
+        except TooBusyError:
+            self.counts["refused"] += 1
+            raise
+
 
 class Service:
     """Handlers of the calls, with the pipeline and the queue in front of it."""
@@ -111,7 +123,8 @@ class Service:
         """Make a clip: answer with its file, or with events where the client accepts `text/event-stream`."""
         wanted = parse_request(parse_json(await request.body()), self._characters)
         client = request.client.host if request.client else ""
-        self._queue.check_room(client)
+        with self.times.counting_refusals():
+            self._queue.check_room(client)
         if "text/event-stream" in request.headers.get("accept", ""):
             return EventStream(self._events(wanted, client), media_type="text/event-stream")
         made: list[dict[str, Any]] = []
@@ -229,13 +242,22 @@ class Service:
         except asyncio.CancelledError:
             events.put_nowait(("error", {"error": "the clip was cancelled", "status": 499}))
             raise
+        except BaseException:  # a panic of a library in Rust is no Exception
+            logger.exception("the clip failed")
+            events.put_nowait(("error", {"error": UNEXPECTED, "status": 500}))
         finally:
             loop.call_soon_threadsafe(events.put_nowait, None)  # behind the events of the thread
 
 
 def status_of(error: Exception) -> int:
     """Choose the HTTP status of an error."""
-    return 503 if isinstance(error, TooBusyError) else 400 if isinstance(error, InvalidInputError) else 500
+    return (
+        503
+        if isinstance(error, TooBusyError | TookTooLongError)
+        else 400
+        if isinstance(error, InvalidInputError)
+        else 500
+    )
 
 
 def _sentence(error: Exception) -> str:

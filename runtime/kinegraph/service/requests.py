@@ -9,8 +9,9 @@ from typing import Any, Final
 
 from kinegraph.clip import Clip
 from kinegraph.errors import InvalidInputError
-from kinegraph.formats import DEFAULT_NAMES, check_names, check_root
+from kinegraph.formats import check_names, check_root
 from kinegraph.formats.character import DEFAULT_FPS, READ_SUFFIXES, read_character
+from kinegraph.motion.skeleton import DEFAULT_NAMES
 from kinegraph.playground.schemas import FileRequest, parse_clip_request, parse_file_options
 from kinegraph.validation import short_repr
 
