@@ -101,22 +101,22 @@ def join_tables(folder: Path, benchmarks: Sequence[Benchmark]) -> str:
 
 
 def run_benchmarks(folder: Path, benchmarks: Sequence[Benchmark]) -> int:
-    """Run what has no JSON in `folder` yet; stop at the first benchmark that fails.
+    """Run what has no table in `folder` yet; stop at the first benchmark that fails.
 
     Returns:
         0, or the exit status of the benchmark that wrote no result.
     """
     page = folder / "README.md"
     for number, benchmark in enumerate(benchmarks, start=1):
-        result = folder / f"{benchmark.result}.json"
-        if result.is_file():
+        # A benchmark writes its table last; long ones write their JSON after every row, and go on from it.
+        table = folder / f"{benchmark.result}.md"
+        if table.is_file():
             continue
         print(f"{number} of {len(benchmarks)}: {benchmark.title}", file=sys.stderr)
         start = time.monotonic()
         process = subprocess.run(benchmark.command(folder), stdout=subprocess.PIPE, text=True, check=False)
-        if not result.is_file():
-            return process.returncode
-        result.with_suffix(".md").write_text(process.stdout, encoding="utf-8")
+        if not table.is_file():
+            return process.returncode or 1
         # Join after every benchmark: the page is complete up to here whatever happens next.
         page.write_text(join_tables(folder, benchmarks), encoding="utf-8")
         print(f"   {time.monotonic() - start:.0f} s", file=sys.stderr)

@@ -15,7 +15,15 @@ pytest.importorskip("torch")
 
 from kinegraph.motion.features import features_from_joints, joints_from_features
 from kinegraph.motion.skeleton import JOINT_NAMES, PARENTS, facing_angle, mirrored
-from kinegraph_training.data.clips import MotionClip, mirrored_caption, mirrored_clip, mirrored_label, read_split
+from kinegraph_training.data.clips import (
+    MotionClip,
+    clip_of_rows,
+    mirrored_caption,
+    mirrored_clip,
+    mirrored_label,
+    read_split,
+    taught_captions,
+)
 from kinegraph_training.dataset import add_step_counts
 from kinegraph_training.synthetic.caption_grammar import COUNTED_STEPS, PHRASES, step_count_captions
 
@@ -93,6 +101,15 @@ def test_counted_captions_say_what_was_counted_and_mirror_like_the_rest(content:
         assert len(captions) == 2 and all(re.search(rf"\b{word}\b.* steps?\b", caption) for caption in captions)
     ways = {mirrored_caption(way) for way in COUNTED_STEPS[content]}
     assert ways == set(COUNTED_STEPS[mirrored_label(content)])
+
+
+def test_captions_of_a_whole_trial_are_taught_where_they_hold_for_a_window() -> None:
+    trial = {"scope": "trial", "captions": ["a person jumps and then turns around.", "a person jumps about."]}
+    assert taught_captions(trial, {"windows": 3}) == ("a person jumps about.",)
+    assert taught_captions(trial, {"windows": 1}) == tuple(trial["captions"])
+    assert taught_captions({"captions": trial["captions"]}, {"windows": 3}) == tuple(trial["captions"])
+    clip = clip_of_rows("x", walk(20), trial, {"windows": 3})
+    assert clip.captions == ("a person jumps about.",) and clip.any_length
 
 
 @pytest.mark.parametrize(("content", "steps"), [("bow", 4), ("walk", None), ("walk", 1), ("run", 13), ("", 5)])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +14,7 @@ from support.shared import shared_path
 
 pytest.importorskip("torch")
 
+from kinegraph.errors import InvalidInputError
 from kinegraph.motion.skeleton import bone_lengths, facing_angle, mirrored
 from kinegraph_training.data.clips import MotionClip, mirrored_caption, mirrored_clip, mirrored_label, read_split
 from kinegraph_training.synthetic.caption_grammar import CAPTIONS, PHRASES
@@ -116,6 +118,16 @@ def test_held_out_pairs_are_never_made_nor_their_mirror_images(tmp_path: Path) -
     # Without the list they are all made: the test can fail.
     assert {"walk+raise-up-left-hand"} <= {composition.action for composition in make_splices(pool(), 80, NOTHING, 1)}
     assert forbidden & {composition.action for composition in make_sequences(pool(), 150, NOTHING, 1, 196)}
+
+
+def test_in_a_manner_only_gestures_are_made_that_were_recorded_in_it() -> None:
+    tired = [replace(each, style="exhausted") for each in pool() if each.action != "raise-up-right-hand"]
+    made = make_splices(pool() + tired, 60, NOTHING, 5)
+    of_tired = {label for each in made if each.style == "exhausted" for label in each.actions} & set(MADE)
+    of_others = {label for each in made if each.style == "normal" for label in each.actions} & set(MADE)
+    assert of_tired <= {"raise-up-left-hand", "raise-up-right-hand"} and len(of_others) > 4
+    with pytest.raises(InvalidInputError, match="two actions to be composed"):
+        make_splices([clip("walk", walk(60)), clip("wave-left-hand", raising(), "happy")], 2, NOTHING, 5)
 
 
 def test_captions_name_both_actions_in_their_order() -> None:

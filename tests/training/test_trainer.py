@@ -72,6 +72,35 @@ def test_a_run_that_goes_on_is_the_run_that_never_stopped(tmp_path: Path, stop: 
     assert further["lr_schedulers"] == whole["lr_schedulers"]
 
 
+def test_a_run_that_goes_on_draws_what_it_has_not_drawn(tmp_path: Path) -> None:
+    drawn: list[float] = []
+
+    class Collate:
+        offset = 0
+
+        def reseed(self, offset: int) -> None:
+            self.offset = offset
+
+        def __call__(self, items: list[int]) -> Any:
+            return torch.tensor(items)
+
+    class Drawing(Line):
+        def training_step(self, batch: Any, index: int) -> Any:
+            drawn.append(torch.rand(1).item())
+            return super().training_step(batch, index)
+
+    def start(**flags: Any) -> Collate:
+        L.seed_everything(7)
+        collate = Collate()
+        batches = torch.utils.data.DataLoader(range(4), collate_fn=collate)
+        trainer = make_trainer(tmp_path, CONFIG, validate_every=4, lightning=QUIET | flags)
+        fit(trainer, Drawing(), batches, batches, tmp_path)
+        return collate
+
+    assert start(max_steps=4).offset == 0 and start().offset == 4000
+    assert len(drawn) == 8 and len(set(drawn)) == 8
+
+
 def test_a_run_that_is_done_is_left_as_it_is(tmp_path: Path) -> None:
     done = train(tmp_path)
     assert weights(train(tmp_path)) == weights(done)

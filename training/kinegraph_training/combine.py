@@ -26,7 +26,7 @@ from kinegraph_training.synthetic.action_table import ActionTable, read_action_t
 
 LABEL_KEYS: Final = ("content", "label")
 """Keys of index.jsonl that may name the action, the first that is there."""
-KEPT: Final = ("attr", "distance_m", "group", "net_turn_deg", "overlap_group", "take")
+KEPT: Final = ("attr", "distance_m", "group", "net_turn_deg", "overlap_group", "take", "windows")
 """Keys of index.jsonl that are carried over."""
 
 

@@ -136,8 +136,13 @@ class DenoiserBatches:
         self.dataset, self.latents, self.graphs, self.augment = dataset, latents, graphs, augment
         self.masked = masked
         self.hiding = augment
-        self.rng = np.random.Generator(np.random.PCG64(seed))
-        self.generator = torch.Generator().manual_seed(seed)
+        self.seed = seed
+        self.reseed(0)
+
+    def reseed(self, offset: int) -> None:
+        """Draw otherwise from here on; `offset` is another one for each process, and for each start of a run."""
+        self.rng = np.random.Generator(np.random.PCG64(self.seed + offset))
+        self.generator = torch.Generator().manual_seed(self.seed + offset)
 
     def __call__(self, indices: list[int]) -> DenoiserBatch:
         graph, bias = self._draw_graphs(indices)

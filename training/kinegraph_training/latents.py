@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from kinegraph.arrays import FloatArray
 from kinegraph.bundle.contract import LEVELS
+from kinegraph.errors import InvalidInputError
 from kinegraph_training.checkpoints import read_checkpoint
 from kinegraph_training.dataset import Dataset
 from kinegraph_training.models.vae import MotionVae, VaeConfig
@@ -141,6 +142,8 @@ def encode_levels(run: Path, dataset: Dataset, cache: Path) -> dict[str, Latents
             checkpoints and to clips of these lengths, else written.
     """
     checkpoints = {level: run / f"vae_{level}" / "last.ckpt" for level in LEVELS}
+    if missing := [level for level, path in checkpoints.items() if not path.is_file()]:
+        raise InvalidInputError(f"{run} has no autoencoder of {', '.join(missing)}; train it first: train_vae --level")
     stamp = [*dataset.lengths.tolist(), *(path.stat().st_mtime_ns for path in checkpoints.values())]
     if isinstance(dataset.features, StoredFeatures):
         name = hashlib.sha256(json.dumps(stamp).encode()).hexdigest()

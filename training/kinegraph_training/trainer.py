@@ -91,11 +91,19 @@ class LastCheckpoint(ModelCheckpoint):
 
 
 class SeedPerProcess(L.Callback):
-    """Gives each process of distributed training a random seed of its own, after equal initial weights."""
+    """Gives each process of distributed training, and each start of a run, a random seed of its own.
 
-    def setup(self, trainer: L.Trainer, pl_module: L.LightningModule, stage: str) -> None:
-        if trainer.global_rank:
-            torch.manual_seed(torch.initial_seed() + trainer.global_rank)
+    Initial weights are equal. A run that goes on would else draw again what it drew at its beginning.
+    """
+
+    def on_train_start(self, trainer: L.Trainer, pl_module: L.LightningModule) -> None:
+        offset = trainer.global_rank + 1000 * trainer.global_step
+        if not offset:
+            return
+        torch.manual_seed(torch.initial_seed() + offset)
+        reseed = getattr(getattr(trainer.train_dataloader, "collate_fn", None), "reseed", None)
+        if reseed is not None:
+            reseed(offset)
 
 
 class LearningCurves(L.Callback):

@@ -84,7 +84,7 @@ def _read_clip(folder: Path, data: PublishedSet, name: str) -> list[PublishedCli
     clips = []
     for (start, end), captions in by_time.items():
         cut = rows if end == 0.0 else rows[int(start * data.fps) : int(end * data.fps)]
-        if data.shortest <= len(cut) < LONGEST * data.fps:
+        if data.shortest <= len(cut) < LONGEST:
             clips.append(PublishedClip(f"{name}@{start:g}-{end:g}", cut.astype(np.float32), tuple(captions)))
     return clips
 

@@ -10,6 +10,7 @@ embeddings. Writes JSON, and a Markdown table beside it.
 
 from __future__ import annotations
 
+import math
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -143,7 +144,9 @@ def same_caption_multimodality(
     embeddings: Sequence[FloatArray], clips: Sequence[MotionClip], rng: np.random.Generator
 ) -> float | None:
     """Compute MModality, the distance between takes of the same caption; None where no caption was asked for twice."""
-    cycle = max(len(clip.captions) for clip in clips)
+    cycle = math.lcm(
+        *(len(clip.captions) for clip in clips)
+    )  # takes after which every clip has its first caption again
     same = embeddings[::cycle]
     return multimodality(np.stack(same, axis=1), rng) if len(same) > 1 else None
 

@@ -41,12 +41,20 @@ CHUNK = 1000
 """Captions that a process encodes before it reports; fewer are encoded in this process."""
 
 
+def _check_assets(folder: Path) -> None:
+    if missing := [name for name in ASSETS if not (folder / name).is_file()]:
+        raise InvalidInputError(
+            f"{folder} lacks {', '.join(missing)}; write them with `python -m kinegraph_export.text_assets`"
+        )
+
+
 def read_assets(folder: Path) -> dict[str, bytes]:
     """Read the text files of a folder; returns their contents by name.
 
     Raises:
-        OSError: a file that is not optional is missing.
+        InvalidInputError: a file that is not optional is missing.
     """
+    _check_assets(folder)
     optional = [name for name in OPTIONAL_ASSETS if (folder / name).is_file()]
     return {name: (folder / name).read_bytes() for name in (*ASSETS, *optional)}
 
@@ -55,11 +63,7 @@ class CaptionEncoder:
     """Parser, tokenizer and text encoder of a folder of text files; a bundle's folder will do."""
 
     def __init__(self, folder: Path, threads: int = 1) -> None:
-        missing = [name for name in ASSETS if not (folder / name).is_file()]
-        if missing:
-            raise InvalidInputError(
-                f"{folder} lacks {', '.join(missing)}; write them with `python -m kinegraph_export.text_assets`"
-            )
+        _check_assets(folder)
         options = onnxruntime.SessionOptions()
         options.intra_op_num_threads = threads
         self.session = onnxruntime.InferenceSession(

@@ -21,6 +21,8 @@ from kinegraph.arrays import FloatArray
 from kinegraph.errors import InvalidInputError
 from kinegraph.motion.skeleton import JOINTS, mirrored
 from kinegraph_training.data.folder import STEP_METRES
+from kinegraph_training.data.windows import holds_at_any_moment
+from kinegraph_training.metrics import FPS
 
 AT_ONCE: Final = "+"
 IN_ORDER: Final = ">"
@@ -135,13 +137,24 @@ def read_split(folder: Path, split: str) -> list[MotionClip]:
     with np.load(path, allow_pickle=False) as pack:
         packed, root, offsets = pack["joints"], pack["root_xz"], pack["offsets"]
         scale, ids = float(pack["scale"]), [str(name) for name in pack["ids"]]
+        fps = float(pack["fps"]) if "fps" in pack.files else FPS
+    if fps != FPS:
+        raise InvalidInputError(f"{path} has {fps:g} frames a second, and training {FPS:g}; prepare it without --fps")
     for name, start, end in zip(ids, offsets[:-1], offsets[1:], strict=True):
         texts, row = captions.get(name, {}), index.get(name, {})
         if not texts.get("captions"):
             raise InvalidInputError(f"clip {name!r} of {path} has no caption in captions.jsonl")
-        if row.get("clean", True):
+        if row.get("clean", True) and (split != "train" or taught_captions(texts, row)):
             clips.append(clip_of_rows(name, unpack_joints(packed[start:end], root[start:end], scale), texts, row))
     return clips
+
+
+def taught_captions(texts: Mapping[str, Any], row: Mapping[str, Any]) -> tuple[str, ...]:
+    """Choose the captions that hold for a clip: those of a whole trial need not hold for each window of it."""
+    captions = tuple(texts["captions"])
+    if texts.get("scope") != "trial" or row.get("windows", 1) == 1:
+        return captions
+    return tuple(filter(holds_at_any_moment, captions))
 
 
 def unpack_joints(packed: NDArray[np.int16], root: FloatArray, scale: float) -> FloatArray:
@@ -158,13 +171,13 @@ def clip_of_rows(name: str, joints: FloatArray, texts: Mapping[str, Any], row: M
     return MotionClip(
         id=name,
         joints=joints,
-        captions=tuple(texts["captions"]),
+        captions=taught_captions(texts, row) or tuple(texts["captions"]),
         actions=split_label(label),
         style=row.get("style_canon", ""),
         in_order=IN_ORDER in label,
         steps=row.get("attr", {}).get("steps"),
         # where a recording was cut says nothing of how long its action takes
-        any_length="start" in row,
+        any_length="start" in row or row.get("windows", 1) > 1,
         partial_captions=tuple(texts.get("partial_captions", ())),
     )
 

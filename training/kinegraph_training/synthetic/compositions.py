@@ -173,6 +173,10 @@ def by_style_and_action(clips: Iterable[MotionClip]) -> dict[str, dict[str, list
 def draw_style(groups: dict[str, dict[str, list[MotionClip]]], rng: np.random.Generator) -> str:
     """Draw a style of at least two actions by the square root of its number of clips."""
     styles = sorted(style for style, actions in groups.items() if len(actions) > 1)
+    if not styles:
+        raise InvalidInputError(
+            "no style of the data has two actions to be composed; set splices, triples and sequences to 0 in [data]"
+        )
     weights = np.array([sum(map(len, groups[style].values())) for style in styles], dtype=float) ** 0.5
     return styles[int(rng.choice(len(styles), p=weights / weights.sum()))]
 
@@ -239,10 +243,16 @@ def make_splices(
 def draw_gesture(
     gestures: dict[str, dict[str, list[MotionClip]]], style: str, rng: np.random.Generator
 ) -> MotionClip | str:
-    """Draw a recorded gesture, in the carrier's style where there is one, or the label of a made one."""
+    """Draw a recorded gesture, in the carrier's style where there is one, or the label of a made one.
+
+    In a manner, only gestures are made that recordings have in it: others may be held out, and its captions say so.
+    """
     if rng.random() < MADE_GESTURES:
         labels = sorted(label for label in MADE if MADE[label][1])
-        return labels[int(rng.integers(len(labels)))]
+        if style != NORMAL:
+            labels = [label for label in labels if label in gestures.get(style, {})]
+        if labels:
+            return labels[int(rng.integers(len(labels)))]
     other = NORMAL if NORMAL in gestures else sorted(gestures)[0]
     return draw_of(gestures[style if style in gestures else other], rng)
 

@@ -19,6 +19,7 @@ from kinegraph.arrays import FloatArray
 from kinegraph.motion.blending import stitch
 from kinegraph.motion.skeleton import JOINT_INDEX, start_at_origin
 from kinegraph_training.data.clips import MotionClip
+from kinegraph_training.data.windows import holds_at_any_moment
 from kinegraph_training.metrics import FPS
 from kinegraph_training.synthetic.caption_grammar import LOCOMOTION, PHRASES, concept_caption, is_turn
 from kinegraph_training.synthetic.compositions import BLEND, MAX_POSE_GAP, pose_gap, stitch_clips
@@ -148,7 +149,9 @@ def _as_excerpt(
     clip: MotionClip, joints: FloatArray, number: int, rng: np.random.Generator, kind: str = "excerpt"
 ) -> MotionClip:
     """Make a clip of other joints with captions that stay true of it."""
-    captions = tuple(caption for caption in clip.captions if not _NUMBER_OR_DISTANCE.search(caption))
+    captions = tuple(
+        caption for caption in clip.captions if not _NUMBER_OR_DISTANCE.search(caption) and holds_at_any_moment(caption)
+    )
     captions += tuple(concept_caption(clip.action, clip.style, rng) for _ in range(NEW_CAPTIONS))
     return replace(
         clip,
