@@ -220,6 +220,7 @@ def test_verbs_in_the_third_person(verb: str, told: str) -> None:
         ("she jogs clockwise around a pole", "she jogs to the right around a pole"),
         ("a clockwise turn", "a right turn"),
         ("walk fwd w/ both arms up", "walk forward with both arms up"),
+        ("a person walks backwards", "a person walks backward"),
         ("hop & kneel w/o waving", "hop and kneel without waving"),
         ("CCW", "to the left"),
     ],

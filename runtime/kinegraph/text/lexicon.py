@@ -185,9 +185,9 @@ WORDINGS: Final = (
     (r"\bw/|(?<=\s)w(?=\s)", "with"),
     (r"(?<=\s)[&+](?=\s)", "and"),
     (r"\bfwd\b", "forward"),
-    (r"\bb[k]?wd\b", "backward"),
+    (r"\bb[k]?wd\b|\bbackwards\b", "backward"),
 )
-"""Spellings that no training caption has, as patterns, with the word for each; of those that overlap the first counts.
+"""Spellings that training captions have seldom or never, as patterns, with the word for each; of those that overlap the first counts.
 
 `kinegraph.interpretation.known_wording` tells the rotations as sides: clockwise, seen from above, is to the right.
 """
