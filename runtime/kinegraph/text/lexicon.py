@@ -187,7 +187,9 @@ WORDINGS: Final = (
     (r"\bfwd\b", "forward"),
     (r"\bb[k]?wd\b|\bbackwards\b", "backward"),
 )
-"""Spellings that training captions have seldom or never, as patterns, with the word for each; of those that overlap the first counts.
+"""Spellings that training captions have seldom or never, as patterns, with the word for each.
+
+Of those that overlap the first counts.
 
 `kinegraph.interpretation.known_wording` tells the rotations as sides: clockwise, seen from above, is to the right.
 """
