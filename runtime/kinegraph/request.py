@@ -179,7 +179,7 @@ def interpret_composition(
         *(1.0 for _ in graphs[count : len(graphs) - len(spec.negated)]),
         *(concept.weight for concept in spec.negated),
     ]
-    wanted, negated, lengths, notes = [], dict[str, Concept](), [], list[str]()
+    wanted, negated, lengths, notes = [], dict[str, SemanticGraph](), [], list[str]()
     for graph, weight in zip(graphs, weights, strict=True):
         request = interpret(graph, manifest, vocabulary, seconds)
         if weight < 0 and request.negated:  # what must not happen, and negates something: as it is
@@ -190,13 +190,12 @@ def interpret_composition(
             lengths += [] if request.seconds is None else [request.seconds]
             notes += request.notes
             for unwanted in request.negated:
-                negated.setdefault(unwanted.caption, Concept(unwanted, SPOKEN_NEGATION_WEIGHT))
-    more = tuple(negated.values())
+                negated.setdefault(unwanted.caption, unwanted)
+    more = tuple(Concept(unwanted, SPOKEN_NEGATION_WEIGHT) for unwanted in negated.values())
     asked = replace(spec, negated=(*spec.negated, *more), partial=(*spec.partial, *(True for _ in more)))
     turn = turn_of(graphs[:count], weights[:count])
-    unwanted_graphs = [concept.text for concept in more if isinstance(concept.text, SemanticGraph)]
     told = tuple(dict.fromkeys(notes))
-    return AskedComposition(asked, (*wanted, *unwanted_graphs), max(lengths, default=None), turn, told)
+    return AskedComposition(asked, (*wanted, *negated.values()), max(lengths, default=None), turn, told)
 
 
 def parts_hands(graph: SemanticGraph) -> bool:

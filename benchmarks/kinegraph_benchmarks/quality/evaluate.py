@@ -144,9 +144,8 @@ def same_caption_multimodality(
     embeddings: Sequence[FloatArray], clips: Sequence[MotionClip], rng: np.random.Generator
 ) -> float | None:
     """Compute MModality, the distance between takes of the same caption; None where no caption was asked for twice."""
-    cycle = math.lcm(
-        *(len(clip.captions) for clip in clips)
-    )  # takes after which every clip has its first caption again
+    # takes after which every clip has its first caption again
+    cycle = math.lcm(*(len(clip.captions) for clip in clips))
     same = embeddings[::cycle]
     return multimodality(np.stack(same, axis=1), rng) if len(same) > 1 else None
 

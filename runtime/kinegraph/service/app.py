@@ -251,13 +251,9 @@ class Service:
 
 def status_of(error: Exception) -> int:
     """Choose the HTTP status of an error."""
-    return (
-        503
-        if isinstance(error, TooBusyError | TookTooLongError)
-        else 400
-        if isinstance(error, InvalidInputError)
-        else 500
-    )
+    if isinstance(error, TooBusyError | TookTooLongError):
+        return 503
+    return 400 if isinstance(error, InvalidInputError) else 500
 
 
 def _sentence(error: Exception) -> str:
