@@ -27,8 +27,7 @@ from kinegraph.clip import Clip
 from kinegraph.errors import InvalidInputError, KinegraphError, ModelError, OutputError
 from kinegraph.files import check_target
 from kinegraph.formats import WRITERS, check_clip_target, check_names, check_root, constraints_json
-from kinegraph.formats.character import DEFAULT_FPS, Character, read_character
-from kinegraph.motion.skeleton import DEFAULT_NAMES
+from kinegraph.formats.character import DEFAULT_FPS, Character, check_no_names, read_character
 from kinegraph.options import MAX_SEED
 from kinegraph.pipeline import MotionPipeline
 from kinegraph.validation import check_fps
@@ -83,8 +82,7 @@ class BatchOptions:
             suffix = read_character(self.character).suffix
             if self.suffix != suffix:
                 raise InvalidInputError(f"clips on {self.character!r} are saved as {suffix}, not {self.suffix!r}")
-            if self.names != DEFAULT_NAMES:
-                raise InvalidInputError("names are for our own body, and a character keeps its own; leave out names")
+            check_no_names(self.names)
             return
         if self.suffix not in WRITERS:
             raise InvalidInputError(f"format {self.suffix!r} must be one of {', '.join(sorted(WRITERS))}")

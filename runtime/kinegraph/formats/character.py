@@ -40,7 +40,7 @@ from kinegraph.motion.kinematics import rotations_from_positions
 from kinegraph.motion.resampling import resample_motion
 from kinegraph.motion.retargeting import RigMotion, measure_shape, retarget
 from kinegraph.motion.rig import Rig
-from kinegraph.motion.skeleton import ROOT_NAME
+from kinegraph.motion.skeleton import DEFAULT_NAMES, ROOT_NAME
 from kinegraph.validation import check_fps
 
 if TYPE_CHECKING:
@@ -125,6 +125,16 @@ class CharacterClip:
         """
         check_target(path, force, (self.character.suffix,))
         write_atomically(path, self.encode(), force=force)
+
+
+def check_no_names(names: str) -> None:
+    """Refuse a naming of our own joints for a clip on a character, which keeps the names of its file.
+
+    Raises:
+        InvalidInputError: other names than the default.
+    """
+    if names != DEFAULT_NAMES:
+        raise InvalidInputError("names are for our own body, and a character keeps its own; leave out names")
 
 
 def read_character(path: str | os.PathLike[str], names: Mapping[str, str] | None = None) -> Character:

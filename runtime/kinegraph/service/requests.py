@@ -10,8 +10,7 @@ from typing import Any, Final
 from kinegraph.clip import Clip
 from kinegraph.errors import InvalidInputError
 from kinegraph.formats import check_names, check_root
-from kinegraph.formats.character import DEFAULT_FPS, READ_SUFFIXES, read_character
-from kinegraph.motion.skeleton import DEFAULT_NAMES
+from kinegraph.formats.character import DEFAULT_FPS, READ_SUFFIXES, check_no_names, read_character
 from kinegraph.playground.schemas import FileRequest, parse_clip_request, parse_file_options
 from kinegraph.validation import short_repr
 
@@ -64,11 +63,11 @@ def parse_request(record: Mapping[str, Any], characters: Path | None) -> Service
         raise InvalidInputError(f"format must be one of {formats}, not {short_repr(record['format'])}")
     options = parse_file_options(record)
     character = None if record.get("character") is None else _character(record["character"], characters)
-    if character is not None and options["names"] != DEFAULT_NAMES:
-        raise InvalidInputError("names are for our own body, and a character keeps its own; leave out names")
     if character is None:
         check_names(suffix, options["names"])
         check_root(suffix, options["root"])
+    else:
+        check_no_names(options["names"])
     return ServiceRequest(clip, suffix, **options, character=character)
 
 
