@@ -14,6 +14,7 @@ pytest.importorskip("lightning")
 pytest.importorskip("spacy")
 
 from kinegraph.bundle.contract import LEVELS
+from kinegraph.errors import InvalidInputError
 from kinegraph_training import train_denoisers, train_vae
 from kinegraph_training.data.folder import PreparedClip, write_data
 from support.motions import walk
@@ -59,6 +60,23 @@ def test_denoisers_start_from_the_weights_of_others(trained: Path, tmp_path: Pat
         for path in (source, tmp_path / "run" / "denoisers" / "last.ckpt")
     )
     assert all(torch.equal(before[name], after[name]) for name in before if name.startswith("hierarchy."))
+
+
+def test_a_graph_encoder_stays_what_it_was(trained: Path, tmp_path: Path) -> None:
+    source = trained / "run" / "denoisers" / "last.ckpt"
+    (tmp_path / "data").symlink_to(trained / "data")
+    shutil.copytree(trained / "run", tmp_path / "run", ignore=shutil.ignore_patterns("denoisers"))
+    flags = ["--keep-graph-encoder", "--max_steps", "2", "--val_check_interval", "1"]
+    run_stage(train_denoisers, tmp_path, "--assets", str(ASSETS), "--start-from", str(source), *flags)
+    before, after = (
+        torch.load(path, weights_only=True, map_location="cpu")["state_dict"]
+        for path in (source, tmp_path / "run" / "denoisers" / "last.ckpt")
+    )
+    kept = {name for name in before if name.startswith("hierarchy.graph_encoder.")}
+    assert kept and all(torch.equal(before[name], after[name]) for name in kept)
+    assert not torch.equal(*(of["hierarchy.levels.specific.step.noise_out.weight"] for of in (before, after)))
+    with pytest.raises(InvalidInputError, match="needs --start-from"):
+        train_denoisers.main(["--keep-graph-encoder", "--data", "x", "--run", "x", "--assets", "x"])
 
 
 def test_denoisers_train_on_further_folders(trained: Path, tmp_path: Path) -> None:

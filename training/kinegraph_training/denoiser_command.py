@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -31,19 +31,24 @@ class DenoiserCommand:
     """Further arguments of `lightning.Trainer`."""
 
 
-def read_command(name: str, doc: str, argv: list[str] | None) -> DenoiserCommand:
+def read_command(
+    name: str, doc: str, argv: list[str] | None, declare: Callable[[argparse.ArgumentParser], None] | None = None
+) -> DenoiserCommand:
     """Read the command line of a module, and seed every generator as its preset says.
 
     Args:
         name: of the module.
         doc: its docstring.
         argv: the words; None takes those of the process.
+        declare: adds the arguments that this module alone has.
     """
     parser = argparse.ArgumentParser(prog=f"kinegraph_training.{name}", description=doc.split("\n")[0])
     add_common_arguments(parser)
     parser.add_argument(
         "--assets", type=Path, required=True, help="folder with text_encoder.onnx, tokenizer.json, parser.bin"
     )
+    if declare:
+        declare(parser)
     arguments, words = parser.parse_known_args(argv)
     command = DenoiserCommand(arguments, read_preset(arguments.preset), lightning_flags(words))
     if arguments.threads:

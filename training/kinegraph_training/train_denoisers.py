@@ -10,6 +10,7 @@ command resumes a stopped run. Further flags are those of `lightning.Trainer`: `
 
 from __future__ import annotations
 
+import argparse
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,6 +21,7 @@ from torch.utils.data import DataLoader
 from kinegraph.arrays import FloatArray
 from kinegraph.bundle.contract import LEVELS
 from kinegraph.bundle.tables import BONE_LENGTHS, DURATION
+from kinegraph.errors import InvalidInputError
 from kinegraph_training.bundle_tables import common_bone_lengths, fit_duration, write_tables
 from kinegraph_training.config import Preset
 from kinegraph_training.data.caption_cache import CaptionGraphs, CaptionStates
@@ -110,10 +112,21 @@ def make_spectral_loss(run: Path, latents: Latents) -> SpectralMotionLoss:
     return SpectralMotionLoss(autoencoder, latents.centre, latents.scale)
 
 
+def add_own_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare what the latent denoisers alone take."""
+    parser.add_argument(
+        "--keep-graph-encoder",
+        action="store_true",
+        help="with --start-from: leave the graph encoder as it is, for a skeleton-space network trained over it",
+    )
+
+
 def main(argv: list[str] | None = None) -> None:
     """Run the command line."""
-    command = read_command("train_denoisers", __doc__, argv)
+    command = read_command("train_denoisers", __doc__, argv, add_own_arguments)
     arguments, preset, run = command.arguments, command.preset, command.arguments.run
+    if arguments.keep_graph_encoder and not arguments.start_from:
+        raise InvalidInputError("--keep-graph-encoder needs --start-from: an untrained encoder is not worth keeping")
     config = preset.denoiser_training
     clips = load_clips(arguments, preset.data, layout_of(preset.vae[LEVELS[-1]].features))
     captions = encode_captions(
@@ -130,6 +143,8 @@ def main(argv: list[str] | None = None) -> None:
     module = DenoiserModule(preset.denoiser, config, shapes, statistics, spectral_loss)
     if arguments.start_from:
         load_start_weights(module.hierarchy, arguments.start_from, "hierarchy.")
+    if arguments.keep_graph_encoder:
+        module.hierarchy.graph_encoder.requires_grad_(False)
     fit_denoisers(command, run / "denoisers", config, module, batches)
 
 
