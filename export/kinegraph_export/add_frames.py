@@ -26,6 +26,7 @@ from kinegraph.bundle.contract import (
     FRAMES,
     FRAMES_DENOISER,
     FRAMES_DENOISER_AGD,
+    LEVELS,
     LevelSpec,
 )
 from kinegraph.bundle.frames_part import FramesPart, frame_contracts
@@ -39,6 +40,7 @@ from kinegraph.motion.postprocess import enforce_bone_lengths
 from kinegraph.options import resolve_options
 from kinegraph.pipeline import MotionPipeline
 from kinegraph_export.bundle_changes import unchanged_if_it_fails, with_graphs, write_files
+from kinegraph_export.checkpoints import check_normalisation
 from kinegraph_export.export_bundle import MAX_PIPELINE_MM, PROMPTS
 from kinegraph_export.graphs import Precision, export_graph
 from kinegraph_export.modules import (
@@ -50,7 +52,7 @@ from kinegraph_export.modules import (
 )
 from kinegraph_export.onnx_export import round_weights
 from kinegraph_export.parity import ParityError
-from kinegraph_export.pipeline_parity import alpha_bar, level_conditions
+from kinegraph_export.pipeline_parity import alpha_bar, as_batch, level_conditions
 from kinegraph_export.shared_weights import without_shared
 from kinegraph_training.checkpoints import read_checkpoint
 from kinegraph_training.config import FrameConfig
@@ -159,11 +161,14 @@ def check_fits(trained: TrainedFrames, manifest: Manifest) -> None:
 
 @torch.no_grad()
 def torch_frames(trained: TrainedFrames, pipe: MotionPipeline, prompt: str, seed: int, frames: int) -> FloatArray:
-    """Sample the joints (frames, 22, 3) of a sentence in torch, one prediction at a time, as the reference."""
+    """Sample the joints (frames, 22, 3) of a sentence in torch, one prediction at a time, as the reference.
+
+    Nodes are those of the graph encoder that the network was trained over, which must be the bundle's.
+    """
     manifest, part = pipe.manifest, pipe.manifest.frames_part
     assert part is not None
     (graph,) = pipe.encoder.encode_text([pipe.parse(prompt)], [seed % 4 == 3])
-    nodes = torch.from_numpy(pipe.encoder.attend([graph]).nodes[0])
+    nodes = trained.hierarchy.encode(as_batch(graph))[0]
     mean, std = (np.array(values, dtype=np.float32) for values in (manifest.features.mean, manifest.features.std))
     joints = sample_frames(trained.denoiser, graph, nodes, part, seed, frames, mean, std)
     return enforce_bone_lengths(joints, pipe.decoder.bones)
@@ -204,7 +209,7 @@ def sample_frames(
             for known in (conditions["text"], conditions["null"])
         )
         clean = null + part.guidance * (text - null)
-        now, after = alphas[time], alphas[time - stride] if time >= stride else torch.ones(())
+        now, after = alphas[time], torch.ones(()) if index == part.steps - 1 else alphas[time - stride]
         noise = (latent - now.sqrt() * clean) / (1 - now).sqrt()
         latent = (after.sqrt() * clean + (1 - after).sqrt() * noise).float()
     features = latent.reshape(-1, len(mean)).numpy()[:frames] / part.scale * std + mean
@@ -235,7 +240,7 @@ def add_frames(
 
     Args:
         folder: of the bundle, changed in place; what it had of skeleton space is replaced.
-        run: folder with frames/last.ckpt.
+        run: folder with frames/last.ckpt, and the specific autoencoder whose normalisation it was trained under.
         steps: diffusion steps of a call that leaves them out.
         guidance: guidance scale of a call that leaves it out.
         precision: of the new graphs. In int8 clips of `studio` were 114 mm from torch, as each of 20 steps rounds anew.
@@ -247,6 +252,7 @@ def add_frames(
     """
     manifest, trained = read_bundle(folder).manifest, read_frames(run / FRAMES / "last.ckpt")
     check_fits(trained, manifest)
+    check_normalisation(run / f"vae_{LEVELS[-1]}" / "last.ckpt", manifest)
     part = trained.part(steps, guidance)
     declared = frame_contracts(part.level, manifest.text.width)
     files: dict[str, bytes] = {}

@@ -31,6 +31,7 @@ from kinegraph.bundle.reader import Bundle, read_bundle
 from kinegraph.bundle.verify import verify_bundle
 from kinegraph.errors import InvalidInputError
 from kinegraph_export.bundle_changes import unchanged_if_it_fails, with_graphs, write_files
+from kinegraph_export.checkpoints import check_normalisation
 from kinegraph_export.graphs import export_gradient, export_graph
 from kinegraph_export.modules import CoarseDecoderGraph, DecoderGraph, EncoderGraph
 from kinegraph_export.recover import dequantised_weights, recover_autoencoder
@@ -68,6 +69,7 @@ def constraint_graphs(bundle: Bundle, vaes: Path) -> tuple[dict[str, bytes], dic
         ParityError: a graph differs from torch.
     """
     manifest = bundle.manifest
+    check_normalisation(vaes / f"vae_{LEVELS[-1]}.ckpt", manifest)
     declared = contracts(manifest.levels, manifest.text.width, len(manifest.features.mean), FORMAT_VERSION)
     group = manifest.frames.per_token
     files: dict[str, bytes] = {}

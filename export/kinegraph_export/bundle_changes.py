@@ -32,11 +32,13 @@ def with_graphs(
         changes: other fields of the manifest.
     """
     operators = {name: summarise(data, name).operators for name, data in graphs.items()}
+    replaced = {f"{prefix}{name.removesuffix('.onnx')}" for name in graphs for prefix in ("", "int8_")}
+    kept = {name: value for name, value in manifest.parity.items() if name not in replaced}
     return dataclasses.replace(
         manifest,
         files=listed_files(manifest, graphs),
         operators=dict(sorted({**manifest.operators, **operators}.items())),
-        parity={**manifest.parity, **parity},
+        parity={**kept, **parity},
         **changes,
     )
 

@@ -89,7 +89,8 @@ def carry_frames(folder: Path, source: Path) -> dict[str, float]:
             "with --keep-graph-encoder, or another network of skeleton space"
         )
     files = frame_files(other)
-    parity = {name: value for name, value in other.manifest.parity.items() if name.startswith(f"{FRAMES}_")}
+    of_frames = (f"{FRAMES}_", f"int8_{FRAMES}_")
+    parity = {name: value for name, value in other.manifest.parity.items() if name.startswith(of_frames)}
     manifest = with_graphs(bundle.manifest, files, parity, frames_part=other.manifest.frames_part)
     with unchanged_if_it_fails(folder, FRAME_FILES):
         write_files(folder, manifest, files)

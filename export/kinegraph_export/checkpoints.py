@@ -5,9 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping
 from pathlib import Path
 
+import numpy as np
 import torch
 
 from kinegraph.bundle.contract import COARSE_DECODERS
+from kinegraph.bundle.manifest import Manifest
 from kinegraph.errors import InvalidInputError
 from kinegraph_export.graphs import CoarseDecoder, TrainedModels
 from kinegraph_export.onnx_export import round_weights
@@ -50,6 +52,24 @@ def read_run(run: Path) -> tuple[TrainedModels, TrainedVae]:
         round_weights(module.eval())
     models = TrainedModels(hierarchy, specific.vae, weights["specific_centre"], weights["specific_scale"], coarse)
     return models, specific
+
+
+def check_normalisation(checkpoint: Path, manifest: Manifest) -> None:
+    """Refuse an autoencoder that does not normalise features as a bundle does: it is of another bundle.
+
+    Raises:
+        InvalidInputError: there is no such checkpoint, or its normalisation is another.
+    """
+    if not checkpoint.is_file():
+        raise InvalidInputError(f"{checkpoint} is missing; train it, or recover a run from a bundle")
+    weights = read_checkpoint(checkpoint)["state_dict"]
+    for name, of_bundle in (("mean", manifest.features.mean), ("std", manifest.features.std)):
+        ours = weights[name].numpy()
+        if ours.shape != (len(of_bundle),) or not np.allclose(ours, of_bundle, rtol=1e-4, atol=1e-6):
+            raise InvalidInputError(
+                f"{checkpoint} normalises features by another {name} than the bundle {manifest.name}: it is of another "
+                "bundle"
+            )
 
 
 def load_coarse_decoder(

@@ -318,10 +318,21 @@ def export_bundle(run: Path, assets: Path, card: BundleCard, out: Path, precisio
         differences = pipeline_parity(staged, trained, specific, tables, precision)
         manifest = dataclasses.replace(draft, parity={**parity, **differences})
         (staged / "manifest.json").write_bytes(encode_manifest(manifest))
-        shutil.rmtree(out, ignore_errors=True)
-        out.parent.mkdir(parents=True, exist_ok=True)
-        shutil.copytree(staged, out)
+        put_in_place(staged, out)
     return manifest
+
+
+def put_in_place(staged: Path, out: Path) -> None:
+    """Copy a folder beside `out`, and only then put it in place of what is there."""
+    out.parent.mkdir(parents=True, exist_ok=True)
+    new, old = (out.with_name(f".{out.name}.{which}") for which in ("new", "old"))
+    for folder in (new, old):
+        shutil.rmtree(folder, ignore_errors=True)
+    shutil.copytree(staged, new)
+    if out.exists():
+        out.rename(old)
+    new.rename(out)
+    shutil.rmtree(old, ignore_errors=True)
 
 
 def main(argv: list[str] | None = None) -> None:

@@ -94,7 +94,7 @@ def store_int8(model: onnx.ModelProto) -> onnx.ModelProto:
     Folded at load as in `store_float16`: float32 arithmetic, a quarter of the space.
     """
     nodes = []
-    for tensor in model.graph.initializer:
+    for tensor in list(model.graph.initializer):  # scales are appended to it
         values = numpy_helper.to_array(tensor)
         if tensor.data_type != TensorProto.FLOAT or values.ndim != 2 or values.size <= MIN_COMPRESSED_SIZE:
             continue

@@ -207,15 +207,23 @@ def validate_lambdas(
             raise InvalidInputError(f"{name} is for method 'fused'; method {short_repr(method)} has none")
     shares = {"latent": (1.0, 0.0, 0.0), "semantic": (0.0, 1.0, 0.0), "fused": _validate_shares(lambdas)}[method]
     if shares[1]:
-        total = sum(concept.weight for concept in concepts)
-        size = sum(abs(concept.weight) for concept in concepts)
-        if total < MIN_SUM or size > MAX_RATIO * total:
-            raise InvalidInputError(
-                f"the weights sum to {total:g} and their sizes to {size:g}; the semantic-aware term divides by the "
-                f"sum, which must be at least {MIN_SUM:g} and a {MAX_RATIO:g}th of the sizes: make the negations "
-                "weaker or the rest stronger, or use another method"
-            )
+        _check_sum([concept.weight for concept in concepts])
     return shares
+
+
+def _check_sum(weights: Sequence[float]) -> None:
+    """Refuse weights whose sum Eq. 9 cannot divide by: near 0, or so small that shares of either sign grow large.
+
+    Raises:
+        InvalidInputError: naming both sums.
+    """
+    total, size = sum(weights), sum(map(abs, weights))
+    if total < MIN_SUM or size > MAX_RATIO * total:
+        raise InvalidInputError(
+            f"the weights of concepts and their edges sum to {total:g} and their sizes to {size:g}; the semantic-aware "
+            f"term divides by the sum, which must be at least {MIN_SUM:g} and a {MAX_RATIO:g}th of the sizes: make the "
+            "negations weaker or the rest stronger, bring edges nearer to 1, or use another method"
+        )
 
 
 def _validate_shares(lambdas: object) -> tuple[float, float, float]:
@@ -305,6 +313,7 @@ class SamplingPlan:
 
         Raises:
             InvalidGraphError: every action of a graph has weight 0.
+            InvalidInputError: with edge weights, the weights of the concepts no longer have a sum to divide by.
         """
         terms = [weighted_edge_terms(graph) for graph in graphs]
         first_negated = len(graphs) - len(spec.negated)
@@ -325,6 +334,8 @@ class SamplingPlan:
                 scaled[first_negated:],
             )
         )
+        if spec.lambdas[1]:
+            _check_sum(concepts)  # weighted edges change the sum
         first_terms = accumulate((len(part) for part in terms), initial=0)
         length_from = tuple(
             index for index, concept in zip(first_terms, spec.concepts, strict=False) if concept.weight > 0

@@ -26,6 +26,7 @@ from kinegraph.bundle.manifest import Manifest
 from kinegraph.bundle.sessions import Sessions, run_model
 from kinegraph.clip import Clip
 from kinegraph.conditioning import Conditions
+from kinegraph.constraint_values import check_total_weight
 from kinegraph.constraints import Constraint, Miss
 from kinegraph.decoding import MotionDecoder, tell_turn
 from kinegraph.denoising import LatentSampler, OnLatent, sample_hierarchy
@@ -36,7 +37,6 @@ from kinegraph.diffusion.sampling import DdimCoefficients, OnStep, PredictNoise,
 from kinegraph.errors import Cancelled, InvalidInputError
 from kinegraph.feasibility import check_constraints
 from kinegraph.keeping import Kept
-from kinegraph.limits import MAX_WEIGHT
 from kinegraph.motion.energies import TOES, Energy, floor_energy, stance_energy
 from kinegraph.motion.features import LAYOUT, joints_from_features, joints_vjp
 from kinegraph.motion.postprocess import enforce_bone_lengths, find_contacts, lock_feet, sliding_speed
@@ -44,7 +44,7 @@ from kinegraph.motion.reaching import Pins, reach
 from kinegraph.motion.skeleton import bone_lengths
 from kinegraph.options import LATENT, GenerateOptions
 from kinegraph.placements import misses_of, pins_of
-from kinegraph.validation import check_flag, finite_number, short_repr
+from kinegraph.validation import check_flag
 
 MAX_PULL: Final = 0.5
 """Largest root mean square by which one step moves the clean latent, whose channels have a deviation of 1."""
@@ -105,11 +105,7 @@ class Wanted:
         """
         manifest = sampler.manifest
         check_flag(fix, "constraint_fix")
-        number = finite_number(weight)
-        if number is None or not 0 <= number <= MAX_WEIGHT:
-            raise InvalidInputError(
-                f"constraint_weight must be 0 to {MAX_WEIGHT:g}, not {short_repr(weight)}; 1 is usual, 0 is without"
-            )
+        number = check_total_weight(weight)
         checked, _ = check_constraints(constraints, most or manifest.frames.max, manifest.fps)
         if sampler.space == LATENT:
             require_gradients(sampler)

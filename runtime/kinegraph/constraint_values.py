@@ -155,3 +155,17 @@ def _depth(value: object) -> int:
     while isinstance(value, list | tuple) and value and depth < 4:
         value, depth = value[0], depth + 1
     return depth
+
+
+def check_total_weight(weight: object) -> float:
+    """Check the weight of all constraints of a call against its text.
+
+    Raises:
+        InvalidInputError: not a number from 0 to `MAX_WEIGHT`.
+    """
+    number = finite_number(weight)
+    if number is None or not 0 <= number <= MAX_WEIGHT:
+        raise InvalidInputError(
+            f"constraint_weight must be 0 to {MAX_WEIGHT:g}, not {short_repr(weight)}; 1 is usual, 0 is without"
+        )
+    return number

@@ -63,7 +63,7 @@ def check_constraints(
         InvalidInputError: no list of constraints, more than the limits, a time outside the clip, two that contradict
             each other, or, with `strict`, one that cannot be met. Messages name constraints by place in the list.
     """
-    checked = _as_tuple(constraints)
+    checked = as_constraints(constraints)
     count = whole_number(frames)
     if count is None or count < 1:
         raise InvalidInputError(f"frames must be a whole number from 1 on, not {short_repr(frames)}")
@@ -84,8 +84,8 @@ def frame_of(seconds: float, frames: int, fps: float) -> int:
     return min(round(seconds * fps), frames - 1)
 
 
-def _as_tuple(constraints: object) -> tuple[Constraint, ...]:
-    """Check type and number.
+def as_constraints(constraints: object) -> tuple[Constraint, ...]:
+    """Check the type and number of what a caller gives as constraints; None is none of them.
 
     Raises:
         InvalidInputError: naming what it is.
@@ -111,7 +111,7 @@ def _as_tuple(constraints: object) -> tuple[Constraint, ...]:
 
 
 def _check_times(index: int, constraint: Constraint, frames: int, fps: float) -> None:
-    """Refuse times after the end of the clip, and poses longer than it.
+    """Refuse times after the end of the clip, paths between two frames, and poses longer than the clip.
 
     Raises:
         InvalidInputError: naming the constraint and the time.
@@ -134,6 +134,11 @@ def _check_times(index: int, constraint: Constraint, frames: int, fps: float) ->
         raise InvalidInputError(
             f"constraints[{index}], {describe(constraint)}: {last:g} s is after the end of the clip, which has "
             f"{frames / fps:g} s; ask for a longer clip or an earlier time"
+        )
+    if isinstance(constraint, Path) and not constraint.covers(np.arange(frames) / fps, (frames - 1) / fps).any():
+        raise InvalidInputError(
+            f"constraints[{index}], {describe(constraint)}: no frame of the clip falls into its times; frames are "
+            f"{1 / fps:g} s apart, and the last is at {(frames - 1) / fps:g} s"
         )
 
 

@@ -61,6 +61,7 @@ from kinegraph.options import (
 )
 from kinegraph.request import (
     AT_ONCE,
+    IN_ONE_INTERVAL,
     MANY,
     MANY_AT_ONCE,
     NEVER_STOOD,
@@ -70,7 +71,6 @@ from kinegraph.request import (
     parts_hands,
     share_frames,
     split_in_order,
-    turn_of,
 )
 from kinegraph.slot_conditioning import SlotEncoder
 from kinegraph.text.parser import LazyParser, check_caption
@@ -326,7 +326,7 @@ class MotionPipeline:
             NonFiniteError: a model produced NaN or infinity.
         """
         # 1. Check the request
-        deadline = _check_call(timeout, on_step, on_level, strict=strict)
+        deadline = check_call(timeout, on_step, on_level, strict=strict)
         options = resolve_options(
             self.manifest, seconds=seconds, seed=seed, steps=steps, guidance=guidance, foot_fix=foot_fix, space=space
         )
@@ -422,7 +422,7 @@ class MotionPipeline:
             InvalidInputError, Cancelled, NonFiniteError: as in `generate`; also for too many clips, and for weights in
                 a shared run.
         """
-        deadline = _check_call(timeout, on_step, strict=strict, shared_run=shared_run)
+        deadline = check_call(timeout, on_step, strict=strict, shared_run=shared_run)
         on_step = deadline.watch(on_step)
         pipe = self.in_space(space)
         wanted = pipe._check_constraints(constraints, constraint_weight, constraint_fix, strict=strict)
@@ -487,7 +487,7 @@ class MotionPipeline:
             InvalidInputError, Cancelled, NonFiniteError: as in `generate`; also for a bundle without what a method
                 needs: gradients of its decoders, or skeleton space.
         """
-        deadline = _check_call(timeout, on_step, strict=strict)
+        deadline = check_call(timeout, on_step, strict=strict)
         if memory is not None:
             from kinegraph.part_memory import check_memory
 
@@ -582,7 +582,7 @@ class MotionPipeline:
                 graphs for `agd`; nothing has been run.
             Cancelled, NonFiniteError: as in `generate`.
         """
-        deadline = _check_call(timeout, on_step, on_level, strict=strict)
+        deadline = check_call(timeout, on_step, on_level, strict=strict)
         if isinstance(method, str) and method == PARTS:
             from kinegraph.part_composition import check_parts, compose_parts
 
@@ -651,7 +651,7 @@ class MotionPipeline:
         """
         from kinegraph.intervals import check_intervals
 
-        deadline = _check_call(timeout, on_step, strict=strict)
+        deadline = check_call(timeout, on_step, strict=strict)
         timeline = check_intervals(intervals)
         pipe = self.in_space(space)
         most = round(max(each.end for each in timeline) * self.manifest.fps)
@@ -671,12 +671,21 @@ class MotionPipeline:
         )
         graphs = [self.as_graph(each.text) for each in deadline.each(timeline)]
         unknown = self._unknown_of_each(graphs, strict)
+        if len(timeline) == 1 and not timeline[0].parts and overlap is None:
+            in_order = wanted is None or not wanted.acts
+            sentence = self._encode_sentence(
+                graphs[0], options[0], own_length=False, is_known=not unknown[0], in_order=in_order
+            )
+            clip = pipe._make_clip(sentence, options[0].seed, deadline.watch(on_step), wanted=wanted)
+            return replace(clip, unknown=unknown[0])
         parts = [
             self._encode_part(graph, option, own_length=False, is_known=not words)
             for graph, option, words in deadline.each(zip(graphs, options, unknown, strict=True))
         ]
         clip = pipe._make_timeline(timeline, parts, options[0].seed, overlap, deadline.watch(on_step), wanted)
-        notes = tuple(dict.fromkeys([*(note for part in parts for note in part.notes), *clip.notes]))
+        in_order = any(len(split_in_order(part.graph, part.options, self.manifest)) > 1 for part in parts)
+        told = (*(note for part in parts for note in part.notes), *([IN_ONE_INTERVAL] if in_order else []))
+        notes = tuple(dict.fromkeys([*told, *clip.notes]))
         text = "; ".join(each.caption for each in timeline)
         return replace(clip, text=text, unknown=_once_each(unknown), notes=notes)
 
@@ -723,7 +732,7 @@ class MotionPipeline:
         """
         from kinegraph.clip_editing import check_edit
 
-        deadline = _check_call(timeout, on_step, strict=strict)
+        deadline = check_call(timeout, on_step, strict=strict)
         pipe = self.in_space(space)
         wanted = pipe._check_wanted(constraints, constraint_weight, constraint_fix, strict=strict)
         wanted, seconds = check_edit(clip, keep, strength, wanted, pipe.sampler)
@@ -829,6 +838,13 @@ class MotionPipeline:
         Raises:
             InvalidInputError: the networks of the bundle cannot compute a term.
         """
+        plan, features, options, notes = self._plan_composition(spec, options, own_length=own_length)
+        return self.encoder.attend(features), plan, options, notes
+
+    def _plan_composition(
+        self, spec: CompositionSpec, options: GenerateOptions, *, own_length: bool
+    ) -> tuple[SamplingPlan, list[GraphArrays], GenerateOptions, tuple[str, ...]]:
+        """Parse and interpret what is composed, see `encode_composition`; its features are not yet attended."""
         self.sampler.validate_composition(spec.lambdas, spec.agd)
         graphs = [self.as_graph(text) for text in spec.texts]
         said = None if own_length else options.seconds
@@ -838,7 +854,7 @@ class MotionPipeline:
             options = with_seconds(options, self.manifest, asked.seconds)
         options = replace(options, turn=asked.turn)
         features, options = self._encode(plan, options, own_length=own_length and asked.seconds is None)
-        return self.encoder.attend(features), plan, options, asked.notes
+        return plan, features, options, asked.notes
 
     def as_graph(self, text: str | SemanticGraph) -> SemanticGraph:
         """Return a graph as it is, and parse a sentence."""
@@ -1258,10 +1274,7 @@ class MotionPipeline:
             if others:
                 graphs = [first.graph, *(part.graph for part in others)]
                 spec = validate_composition([Concept(graph) for graph in graphs], "fused", None, None, None)
-                self.sampler.validate_composition(spec.lambdas, spec.agd)
-                plan = SamplingPlan.for_composition(spec, [self.as_graph(text) for text in spec.texts])
-                features, _ = self._encode(plan, first.options, own_length=False)
-                options = replace(first.options, turn=turn_of(graphs))
+                plan, features, options, _ = self._plan_composition(spec, first.options, own_length=False)
                 first = replace(first, plan=plan, features=features, options=options)
             composed.append(first)
         return composed
@@ -1281,7 +1294,7 @@ def _key(pipeline: MotionPipeline, part: _EncodedPart, seed: int, begins: bytes 
     return (pipeline, part.graph, part.plan, repr(part.options), seed, begins)
 
 
-def _check_call(
+def check_call(
     timeout: object, on_step: object, on_level: object = None, *, strict: object, shared_run: object = False
 ) -> Deadline:
     """Check what callers ask besides motion, and start the clock.

@@ -45,6 +45,11 @@ AT_ONCE: Final = (
     "`generate_timeline` makes them one by one, under constraints too"
 )
 """Note for such a sentence with constraints, or in an edit."""
+IN_ONE_INTERVAL: Final = (
+    "the actions of one interval follow one another but are made at once: one of them may not happen; give each an "
+    "interval of its own"
+)
+"""Note for such a sentence in a timeline of several intervals."""
 MANY: Final = 3
 """Concepts at once that one run seldom makes."""
 MANY_AT_ONCE: Final = (

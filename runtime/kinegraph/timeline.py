@@ -18,6 +18,7 @@ import numpy as np
 from kinegraph.arrays import FloatArray
 from kinegraph.clip import Clip
 from kinegraph.concepts import Concept
+from kinegraph.constraint_values import check_total_weight
 from kinegraph.constraints import (
     POSE_SECONDS,
     Constraint,
@@ -31,9 +32,10 @@ from kinegraph.constraints import (
 )
 from kinegraph.diffusion.sampling import OnStep, subrange_progress
 from kinegraph.errors import InvalidInputError
+from kinegraph.feasibility import as_constraints
 from kinegraph.graph import SemanticGraph
 from kinegraph.layers import Layer, check_layers, notes_of, spans_of
-from kinegraph.limits import MAX_PARTS
+from kinegraph.limits import MAX_PARTS, MAX_WEIGHT
 from kinegraph.motion.body_frame import BodyFrame, append_part
 from kinegraph.motion.skeleton import start_at_origin
 from kinegraph.options import (
@@ -46,7 +48,7 @@ from kinegraph.options import (
     validate_lengths,
 )
 from kinegraph.part_memory import PartMemory, check_memory
-from kinegraph.pipeline import MotionPipeline
+from kinegraph.pipeline import MotionPipeline, check_call
 from kinegraph.placements import misses_of
 
 PATH_STEP: Final = 0.2
@@ -58,7 +60,7 @@ def generate_timeline(
     texts: Sequence[str | SemanticGraph],
     *,
     seconds: float | Sequence[float],
-    constraints: Sequence[Constraint] = (),
+    constraints: Sequence[Constraint] | None = None,
     constraint_weight: float = 1.0,
     layers: Sequence[Layer] = (),
     seed: int | None = None,
@@ -66,6 +68,8 @@ def generate_timeline(
     steps: Steps | None = None,
     guidance: Guidance | None = None,
     foot_fix: bool = True,
+    strict: bool = False,
+    timeout: float | None = None,
     on_step: OnStep | None = None,
     memory: PartMemory | None = None,
 ) -> Clip:
@@ -77,14 +81,19 @@ def generate_timeline(
         seconds: of each part, or one length for all.
         constraints: times from the beginning of the whole clip, places where they are in it.
         layers: concepts, with which every sentence that their span touches is composed (`MotionPipeline.compose`).
-        constraint_weight, seed, steps, guidance, foot_fix, on_step: as in `MotionPipeline.generate`.
+        constraint_weight: of all constraints against the texts; 0 is the clip without them, bit for bit. Each part
+            begins in the last pose of the one before all the same.
+        seed, steps, guidance, foot_fix, strict, timeout, on_step: as in `MotionPipeline.generate`.
         seed_offsets: one for each sentence; None is 0, 1, 2 ... What keeps its own is not changed by others.
         memory: parts that were made before, and need not be made again.
 
     Raises:
         InvalidInputError: as in `MotionPipeline.generate` and `layers.check_layers`; also a `Loop`, and times behind
             the end.
+        UnknownWordsError, Cancelled, NonFiniteError: as in `MotionPipeline.generate`.
     """
+    deadline = check_call(timeout, on_step, strict=strict)
+    constraints, weight = as_constraints(constraints), check_total_weight(constraint_weight)
     lengths = validate_lengths(texts, seconds, MAX_PARTS, "a timeline")
     manifest, fps = pipeline.manifest, pipeline.manifest.fps
     if any(length is None for length in lengths):
@@ -105,16 +114,17 @@ def generate_timeline(
     ends = [float(end) for end in np.cumsum(frames) / fps]
     _check_times(constraints, ends[-1])
     layers = check_layers(layers, ends)
-    shared = {"steps": steps, "guidance": guidance, "foot_fix": foot_fix, "constraint_weight": constraint_weight}
+    shared = {"steps": steps, "guidance": guidance, "foot_fix": foot_fix, "strict": strict}
+    pulling = _weighed(constraints, weight)
     memory = PartMemory() if memory is None else check_memory(memory)
     memory.begin()
-    parts = _Parts(pipeline, shared, on_step, len(texts), memory)
+    parts = _Parts(pipeline, shared, deadline.watch(on_step), len(texts), memory)
     whole: FloatArray | None = None
     clips: list[Clip] = []
-    for index, (text, span) in enumerate(zip(texts, spans_of(ends), strict=True)):
+    for index, (text, span) in enumerate(deadline.each(zip(texts, spans_of(ends), strict=True))):
         lead = 0 if whole is None else overlap
         frame = BodyFrame(np.zeros(3), 0.0) if whole is None else BodyFrame.of(whole[-overlap])
-        wanted = localised(constraints, span, ends[-1], lead / fps, frame, 1 / fps)
+        wanted = localised(pulling, span, ends[-1], lead / fps, frame, 1 / fps)
         if whole is not None:
             # near the origin, however far the whole has come
             wanted = (StartPose(start_at_origin(whole[-overlap:]), fps=fps), *wanted)
@@ -168,6 +178,15 @@ class _Parts:
 
         key = (self.pipeline, text, concepts, repr(options), *map(_fingerprint, wanted))
         return self.memory.part(index, key, make)
+
+
+def _weighed(constraints: Sequence[Constraint], weight: float) -> tuple[Constraint, ...]:
+    """Weigh constraints by the weight of all of them; those of weight 0 pull nothing, and are left out.
+
+    The poses in which parts begin are no constraints of the caller's, and keep their own weight.
+    """
+    weighed = [replace(constraint, weight=min(constraint.weight * weight, MAX_WEIGHT)) for constraint in constraints]
+    return tuple(constraint for constraint in weighed if constraint.weight > 0)
 
 
 def _check_times(constraints: Sequence[Constraint], whole: float) -> None:
@@ -224,7 +243,8 @@ def localised(
             case EndPose():
                 found += [constraint] if is_last else []
             case Path():
-                found += _piece(constraint, span, whole - frame_seconds, lead, frame)
+                piece = _piece(constraint, span, whole - frame_seconds, lead, frame)
+                found += [path for path in piece if _has_frame(path, end - begin + lead, frame_seconds)]
             case JointTarget():
                 found += _held(constraint, span, is_last, lead, frame)
             case Waypoint() if _is_in(constraint.seconds, span, is_last):
@@ -272,7 +292,7 @@ def _held(
     return [replace(target, position=(position[0], height, position[2]), seconds=moments)]
 
 
-def _piece(path: Path, span: tuple[float, float], whole: float, lead: float, frame: BodyFrame) -> list[Constraint]:
+def _piece(path: Path, span: tuple[float, float], whole: float, lead: float, frame: BodyFrame) -> list[Path]:
     """The part's piece of a path."""
     moments = path.moments(whole)
     first, last = max(float(moments[0]), span[0]), min(float(moments[-1]), span[1])
@@ -287,6 +307,15 @@ def _piece(path: Path, span: tuple[float, float], whole: float, lead: float, fra
         heading = None if angles is None else np.degrees(angles - frame.heading)
     points = frame.floor_to_body(path.positions(times, whole))
     return [Path(points, times - span[0] + lead, heading, path.weight)]
+
+
+def _has_frame(path: Path, length: float, frame_seconds: float) -> bool:
+    """Tell whether a frame of a part of some seconds falls into its piece of a path, which may begin after the last."""
+    if not frame_seconds:
+        return True
+    frames = round(length / frame_seconds)
+    times = np.arange(frames, dtype=np.float64) * frame_seconds
+    return bool(path.covers(times, (frames - 1) * frame_seconds).any())
 
 
 def _fingerprint(constraint: Constraint) -> Hashable:

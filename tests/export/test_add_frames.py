@@ -39,6 +39,10 @@ def write_run(folder: Path, per_token: int = 4, features: int = 137, **changes: 
     weights = {f"hierarchy.{name}": value for name, value in Hierarchy(config, {FRAMES: shape}).state_dict().items()}
     settings = {"config": asdict(config), "latents": {FRAMES: asdict(shape)}, "frames": asdict(FrameConfig(per_token))}
     (folder / FRAMES).mkdir(parents=True)
+    normalisation = read_bundle(TOY_BUNDLE).manifest.features
+    (folder / "vae_specific").mkdir()
+    state = {name: torch.tensor(getattr(normalisation, name)) for name in ("mean", "std")}
+    torch.save({"state_dict": state}, folder / "vae_specific" / "last.ckpt")
     torch.save({"hyper_parameters": settings, "state_dict": weights}, folder / FRAMES / "last.ckpt")
     return folder
 
@@ -77,6 +81,11 @@ def test_a_network_that_is_not_there_or_of_another_bundle_is_refused(folder: Pat
         add_frames(folder, write_run(tmp_path / "wide", text_width=64))
     with pytest.raises(InvalidInputError, match="features of a frame is 263 in training and 137"):
         add_frames(folder, write_run(tmp_path / "other", features=263))
+    other = write_run(tmp_path / "normalised")
+    state = torch.load(other / "vae_specific" / "last.ckpt", weights_only=True)
+    torch.save({"state_dict": {**state["state_dict"], "std": torch.ones(137)}}, other / "vae_specific" / "last.ckpt")
+    with pytest.raises(InvalidInputError, match="normalises features by another std"):
+        add_frames(folder, other)
     assert contents(folder) == before
 
 

@@ -21,6 +21,7 @@ from kinegraph.frame_denoising import FrameSampler, clean_of, group, noise_of, u
 from kinegraph.intervals import Interval
 from kinegraph.motion.features import features_from_joints
 from kinegraph.options import GenerateOptions, resolve_options
+from kinegraph.request import IN_ONE_INTERVAL
 from support.motions import walk
 
 WALKS, WAVES, RUNS = "a person walks forward", "a person waves the right hand", "a person runs"
@@ -166,11 +167,31 @@ def test_a_timeline_of_two_texts_is_equation_eleven(toy: MotionPipeline) -> None
     np.testing.assert_allclose(clip.joints, expected, atol=1e-4)
 
 
-def test_a_timeline_of_one_interval_is_generating_it(toy: MotionPipeline) -> None:
+@pytest.mark.parametrize(
+    "text",
+    [
+        WALKS,
+        "a person walks forward, then bows",  # made one by one
+        "a person raises the left hand while waving the right hand",  # sampled alone
+        "a person walks without waving",
+        "a person turns left by 90 degrees",
+    ],
+)
+def test_a_timeline_of_one_interval_is_generating_it(toy: MotionPipeline, text: str) -> None:
     for space in ("latent", FRAMES):
-        whole = toy.generate(WALKS, seconds=2.2, seed=4, space=space)
-        timeline = toy.timeline([Interval(WALKS, 0, 2.2)], seed=4, space=space)
+        options: dict[str, Any] = {"seed": 4, "space": space, "steps": 3}
+        whole = toy.generate(text, seconds=4.2, **options)
+        timeline = toy.timeline([Interval(text, 0, 4.2)], **options)
         np.testing.assert_array_equal(timeline.joints, whole.joints)
+        assert (timeline.notes, timeline.unknown, timeline.text) == (whole.notes, whole.unknown, whole.text)
+
+
+def test_actions_in_order_within_one_of_several_intervals_are_told(toy: MotionPipeline) -> None:
+    ordered = Interval("a person walks forward, then bows", 0, 4.2)
+    for space in ("latent", FRAMES):
+        assert IN_ONE_INTERVAL in toy.timeline([ordered, Interval(WAVES, 4.2, 6)], seed=4, space=space, steps=2).notes
+        plain = toy.timeline([Interval(WALKS, 0, 4.2), Interval(WAVES, 4.2, 6)], seed=4, space=space, steps=2)
+        assert IN_ONE_INTERVAL not in plain.notes
 
 
 def test_an_arm_of_its_own_leaves_the_legs_alone_until_it_matters(toy: MotionPipeline) -> None:
@@ -187,6 +208,10 @@ def test_an_arm_of_its_own_leaves_the_legs_alone_until_it_matters(toy: MotionPip
 def test_in_latent_space_what_coincides_is_composed(toy: MotionPipeline) -> None:
     composed = toy.compose([WALKS, WAVES], seconds=2.2, seed=4)
     timeline = toy.timeline([Interval(WALKS, 0, 2.2), Interval(WAVES, 0, 2.2)], seed=4)
+    np.testing.assert_array_equal(timeline.joints, composed.joints)
+    negating = ["a person walks without waving", "a person nods"]  # what one negates must not happen in the other
+    composed = toy.compose(negating, seconds=2.2, seed=4)
+    timeline = toy.timeline([Interval(text, 0, 2.2) for text in negating], seed=4)
     np.testing.assert_array_equal(timeline.joints, composed.joints)
     sequence = toy.timeline([Interval(WALKS, 0, 2), Interval(WAVES, 2, 4)], seed=4)
     np.testing.assert_array_equal(sequence.joints, toy.sequence([WALKS, WAVES], seconds=2, seed=4).joints)
@@ -266,7 +291,7 @@ def test_a_turn_of_one_interval_is_not_that_of_all(toy: MotionPipeline, monkeypa
     make_timeline = frame_timeline.make_timeline
     monkeypatch.setattr(frame_timeline, "make_timeline", make)
     left = "a person turns left by 90 degrees"
-    toy.timeline([Interval(left, 0.0, 2.0)], seed=4, space=FRAMES)
+    toy.timeline([Interval(left, 0.0, 2.0, ("legs", "arms", "head", "torso"))], seed=4, space=FRAMES)
     toy.sequence([left, left], method="energy", seconds=2.0, seed=4)
     assert asked[0] is not None and asked[0].degrees == 90 and asked[1] is None
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -109,6 +111,16 @@ def test_a_perfect_prediction_leads_to_the_clean_latent() -> None:
             latent = ddim_step(latent, noise, coefficients, number)
         last = schedule.alphas_cumprod[0]
         np.testing.assert_allclose(latent, np.sqrt(last) * clean + np.sqrt(1 - last) * noise, atol=2e-5)
+
+
+@pytest.mark.parametrize("spacing", ["leading", "trailing"])
+@pytest.mark.parametrize("steps", range(1, 41))  # where 1000 / steps is rounded up, the last stride ends at timestep 0
+def test_a_run_that_ends_clean_ends_at_the_predicted_clean_latent(steps: int, spacing: Any) -> None:
+    ddim = ddim_coefficients(NoiseSchedule(spacing=spacing, ends_clean=True), steps)
+    a = alpha_bars(1000, 8.5e-4, 0.012)[ddim.timesteps[-1]]
+    latent, noise = (np.random.default_rng(steps).normal(size=(2, 1, 4, 8))).astype(np.float32)
+    clean = (latent - (1 - a) ** 0.5 * noise) / a**0.5
+    np.testing.assert_allclose(ddim_step(latent, noise, ddim, steps - 1), clean, atol=1e-5)
 
 
 def test_guidance_of_one_is_the_condition_and_of_zero_none() -> None:

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+import dataclasses
 from typing import Any
 
 import numpy as np
 import pytest
 
 from kinegraph import MotionPipeline
-from kinegraph.constraints import EndPose, JointTarget, Keyframe, Loop, Path, StartPose, Waypoint
-from kinegraph.errors import InvalidInputError
+from kinegraph.constraints import Constraint, EndPose, JointTarget, Keyframe, Loop, Path, StartPose, Waypoint
+from kinegraph.errors import InvalidInputError, TimedOut
 from kinegraph.motion.body_frame import BodyFrame
 from kinegraph.motion.skeleton import JOINT_INDEX
 from kinegraph.part_memory import PartMemory
@@ -138,6 +139,34 @@ def test_only_what_changed_is_made_again(constrained: MotionPipeline) -> None:
     assert len(calls) == 2  # from the changed sentence on
     fresh = generate_timeline(constrained, TEXTS, seconds=1, constraints=[late], seed=3, steps=2)
     assert np.array_equal(fresh.joints, first.joints)
+
+
+def test_a_weight_of_zero_is_the_timeline_without_constraints(constrained: MotionPipeline) -> None:
+    free = generate_timeline(constrained, TEXTS, seconds=1, seed=3, steps=2)
+    wanted: list[Constraint] = [Waypoint(1.5, (0, 1)), JointTarget("head", (None, 1.2, None), (0.5, 2.5))]
+    still = generate_timeline(constrained, TEXTS, seconds=1, seed=3, steps=2, constraints=wanted, constraint_weight=0)
+    np.testing.assert_array_equal(still.joints, free.joints)
+    assert len(still.misses) == 2
+    # the weight of one counts as the weight of all does
+    weighed = [dataclasses.replace(each, weight=0.5) for each in wanted]
+    half = generate_timeline(constrained, TEXTS, seconds=1, seed=3, steps=2, constraints=wanted, constraint_weight=0.5)
+    same = generate_timeline(constrained, TEXTS, seconds=1, seed=3, steps=2, constraints=weighed)
+    np.testing.assert_array_equal(half.joints, same.joints)
+
+
+def test_a_timeline_stops_in_time_and_is_strict(constrained: MotionPipeline) -> None:
+    with pytest.raises(TimedOut):
+        generate_timeline(constrained, TEXTS, seconds=1, steps=2, timeout=1e-9)
+    with pytest.raises(InvalidInputError, match="strict needs a bundle that knows what it was shown"):
+        generate_timeline(constrained, TEXTS, seconds=1, steps=2, strict=True)
+
+
+def test_a_path_that_begins_after_the_last_frame_of_a_part_is_that_of_the_next(constrained: MotionPipeline) -> None:
+    path = Path([[0, 0.5], [0, 1.5]], times=[0.97, 2.0])  # the last frame of the first part is at 0.95 s
+    clip = generate_timeline(constrained, TEXTS, seconds=1, seed=3, steps=2, constraints=[path])
+    assert np.isfinite(clip.misses[0].metres)
+    with pytest.raises(InvalidInputError, match="no frame of the clip falls into its times"):
+        constrained.generate(TEXTS[0], seconds=1, constraints=[Path([[0, 0], [0, 0.1]], times=[0.01, 0.04])])
 
 
 def test_what_does_not_fit_a_timeline_is_refused(toy: MotionPipeline) -> None:

@@ -110,8 +110,9 @@ def ddim_coefficients(schedule: NoiseSchedule, steps: int) -> DdimCoefficients:
     timesteps = schedule.timesteps(steps)
     following = timesteps - schedule.train_steps // steps
     alpha_bar = schedule.alphas_cumprod
-    alpha, last = alpha_bar[timesteps], 1.0 if schedule.ends_clean else alpha_bar[0]
-    alpha_next = np.where(following >= 0, alpha_bar[np.maximum(following, 0)], last)
+    alpha, alpha_next = alpha_bar[timesteps], alpha_bar[np.maximum(following, 0)]
+    if schedule.ends_clean:
+        alpha_next[-1] = 1.0
     keep = np.sqrt(alpha_next / alpha)
     return DdimCoefficients(timesteps, keep, np.sqrt(1.0 - alpha_next) - keep * np.sqrt(1.0 - alpha))
 
