@@ -452,7 +452,8 @@ class ConstrainedPrediction:
         alpha = float(self.alpha_bar[index])
         clean = ((latents - np.sqrt(1.0 - alpha) * noise) / np.sqrt(alpha)).astype(np.float32)
         energy, gradient = self.energy(clean)
-        pulled = clean - np.float32(self.weight) * polyak_pull(energy, gradient())
+        # Polyak's step already ends where a linear energy is 0: a heavier weight counts in the descent
+        pulled = clean - np.float32(min(self.weight, 1.0)) * polyak_pull(energy, gradient())
         pulled *= min(1.0, max(MAX_LATENT, _size(clean)) / max(_size(pulled), 1e-12))
         return np.asarray(noise + np.float32(np.sqrt(alpha / (1.0 - alpha))) * (clean - pulled), dtype=np.float32)
 

@@ -1,4 +1,4 @@
-"""From conditions to latents: the denoising loop over three levels (GraphMotion, section 3.3).
+"""From conditions to latents: the denoising loop over three levels (GraphMotion, section 3.2).
 
 Motion, then action, then specific latent: each level is a DDIM run from its own noise, and sees the final latent of
 the level above among its conditions. `sample_hierarchy` is the loop; `LatentSampler` binds a bundle's models to it.

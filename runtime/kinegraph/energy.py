@@ -22,7 +22,7 @@ from kinegraph.diffusion.energy import SAME, EnergyMap, EnergyMaps, noise_field,
 from kinegraph.diffusion.sampling import OnStep, StepInfo, ddim_coefficients, initial_noise, is_stop
 from kinegraph.errors import Cancelled, InvalidInputError
 from kinegraph.graph import SemanticGraph
-from kinegraph.options import Deadline, GenerateOptions, Guidance, Steps, resolve_options
+from kinegraph.options import LATENT, Deadline, GenerateOptions, Guidance, Steps, resolve_options
 from kinegraph.pipeline import MotionPipeline
 from kinegraph.validation import check_callback
 
@@ -86,6 +86,8 @@ def energy_maps(
             f"energy maps are drawn for kinegraph's own networks alone, and {pipe.manifest.name} has those of the "
             f"family {pipe.manifest.family!r}; load another bundle"
         )
+    if pipe.sampler.space != LATENT:
+        raise InvalidInputError("energy maps are of latent space; take the pipeline that `MotionPipeline.load` gives")
     check_callback(on_step, "on_step")
     on_step = Deadline.start(timeout).watch(on_step)
     spec = validate_composition(concepts, method, text, lambdas, agd)

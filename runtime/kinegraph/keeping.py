@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from types import MappingProxyType
 from typing import Final
 
@@ -57,6 +58,7 @@ class Kept:
     spans: tuple[tuple[int, int], ...]
     """Half-open spans of frames in which the whole body is kept."""
 
+    @cached_property
     def world(self) -> NDArray[np.bool_]:
         """Tell which joints are kept where they are: (frames, 22)."""
         kept = np.zeros(self.joints.shape[:2], dtype=np.bool_)
@@ -67,34 +69,39 @@ class Kept:
                 kept[:, list(PARTS[part])] = True
         return kept
 
+    @cached_property
     def relative(self) -> NDArray[np.bool_]:
         """Tell which joints are kept relative to the pelvis: (frames, 22)."""
         kept = np.zeros(self.joints.shape[:2], dtype=np.bool_)
         for part in self.parts:
             if PELVIS not in PARTS[part]:
                 kept[:, list(PARTS[part])] = True
-        return kept & ~self.world()
+        return kept & ~self.world
+
+    @cached_property
+    def own(self) -> DoubleArray:
+        """Place the joints relative to the pelvis and its heading: (frames, 22, 3) metres."""
+        return to_own_frames(self.joints)[0]
 
     def energy(self, joints: Floats) -> Energy:
         """Compute half the mean squared distance of what is kept, and its gradient."""
         total, gradient = 0.0, np.zeros(joints.shape)
-        world, relative = self.world(), self.relative()
+        world, relative = self.world, self.relative
         if world.any():
             weight = np.repeat(world[..., None] / world.sum(), 3, axis=-1)
             value, slope = position_energy(joints, self.joints, weight)
             total, gradient = total + value, gradient + slope
         if relative.any():
-            value, slope = relative_energy(joints, to_own_frames(self.joints)[0], relative / relative.sum())
+            value, slope = relative_energy(joints, self.own, relative / relative.sum())
             total, gradient = total + value, gradient + slope
         return total, gradient
 
     def pins(self, joints: Floats) -> Pins:
         """Tell where what is kept has to be in a motion."""
-        local = to_own_frames(self.joints)[0]
-        turned = rotate(about_axis(1, facing_angle(joints.astype(np.float32)).astype(np.float64))[:, None], local)
+        turned = rotate(about_axis(1, facing_angle(joints.astype(np.float32)).astype(np.float64))[:, None], self.own)
         placed = turned + joints[:, :1] * HORIZONTAL
-        world = self.world()[..., None]
-        wanted = world | self.relative()[..., None]
+        world = self.world[..., None]
+        wanted = world | self.relative[..., None]
         return Pins(np.where(world, self.joints, placed), np.broadcast_to(wanted, joints.shape).copy())
 
     def miss(self, joints: Floats) -> Miss:
@@ -137,7 +144,7 @@ def check_keep(keep: object, joints: Floats, fps: float) -> Kept:
         first = min(round(begin * fps), len(joints) - 1)
         spans.append((first, max(round(end * fps), first + 1)))
     kept = Kept(joints.astype(np.float64), tuple(dict.fromkeys(parts)), tuple(spans))
-    if (kept.world() | kept.relative()).all():
+    if (kept.world | kept.relative).all():
         raise InvalidInputError(f"keep names all of the clip, {short_repr(keep)}; leave something to the sentence")
     return kept
 

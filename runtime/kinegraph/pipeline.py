@@ -66,6 +66,7 @@ from kinegraph.request import (
     MANY_AT_ONCE,
     NEVER_STOOD,
     STANDING,
+    TURNS_ARE_FREE,
     interpret,
     interpret_composition,
     parts_hands,
@@ -476,7 +477,8 @@ class MotionPipeline:
                 the last pose of the one before, as `stream` does: nothing is blended, and a part has its length to the
                 frame, but at most 0.2 s less than the longest clip. It takes four times as long, and its joins are less
                 calm (measured). "energy" samples all parts in one run of skeleton space, where the bundle has it:
-                neighbours share 0.8 s, and their scores add up there (EnergyMoGen, Eq. 11); it takes no memory.
+                neighbours share 0.8 s, and their scores add up there (EnergyMoGen, Eq. 11); it takes neither a memory
+                nor seed offsets, and holds no turn to what a sentence says.
             seconds: of each part: one length, one per sentence, or None for what each asks for.
             seed, steps, guidance, foot_fix, strict, timeout: as in `generate`.
             seed_offsets: one for each sentence; None is 0, 1, 2 ... What keeps its own is not changed by others.
@@ -491,11 +493,12 @@ class MotionPipeline:
         if memory is not None:
             from kinegraph.part_memory import check_memory
 
-            if method == "energy":
-                raise InvalidInputError(
-                    'a memory keeps parts that are made one by one; method "energy" makes all at once'
-                )
             check_memory(memory).begin()
+        for name, value in (("memory", memory), ("seed_offsets", seed_offsets)):
+            if method == "energy" and value is not None:
+                raise InvalidInputError(
+                    f'{name} is for parts that are made one by one; method "energy" makes all at once, of one noise'
+                )
         on_step = deadline.watch(on_step)
         lengths = validate_lengths(texts, seconds, MAX_PARTS, "a sequence")
         if validate_sequence_method(method) == "continue":
@@ -796,11 +799,13 @@ class MotionPipeline:
     ) -> Iterator[FloatArray]:
         """Yield frame after frame of one sentence after another, each from the last pose of the one before.
 
-        Nothing is cut or blended, lengths are those asked for, and memory stays flat, however long it runs.
+        Nothing is cut or blended, and memory stays flat, however long it runs.
 
         Args:
             texts: sentences or graphs; `itertools.cycle` makes them endless.
-            seconds: of each part; None lets each sentence decide.
+            seconds: of each part, to the frame, but at most 0.2 s less than the longest clip behind the first. None
+                lets each sentence decide; parts behind the first are then 0.2 s shorter, for they begin in what is
+                shown.
             seed: part k is generated with seed + k; None draws one.
             options: further ones of `generate`, but for constraints.
 
@@ -1245,7 +1250,9 @@ class MotionPipeline:
             turn = parts[0].options.turn if len(parts) == 1 else None  # of several, each has its own frames
             options = replace(parts[0].options, seed=seed, turn=turn)
             stages = (self.encoder, self.sampler, self.decoder)
-            return make_timeline(*stages, encoded, options, overlap, on_step, wanted)
+            clip = make_timeline(*stages, encoded, options, overlap, on_step, wanted)
+            turns = len(parts) > 1 and any(part.options.turn and part.options.turn.is_said for part in parts)
+            return replace(clip, notes=(*clip.notes, TURNS_ARE_FREE)) if turns else clip
         if overlap is not None:
             raise InvalidInputError('overlap is for space="frames"; in latent space parts are blended as in a sequence')
         groups = self._compose_groups(timeline, parts)

@@ -50,6 +50,10 @@ IN_ONE_INTERVAL: Final = (
     "interval of its own"
 )
 """Note for such a sentence in a timeline of several intervals."""
+TURNS_ARE_FREE: Final = (
+    "how far a turn goes is not held where several texts are sampled in one run of skeleton space; it may go further"
+)
+"""Note for sentences that say it, in a timeline or a sequence by energy."""
 MANY: Final = 3
 """Concepts at once that one run seldom makes."""
 MANY_AT_ONCE: Final = (

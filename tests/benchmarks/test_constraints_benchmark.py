@@ -8,6 +8,7 @@ import pytest
 from kinegraph import EndPose, JointTarget, Keyframe, Loop, Path, StartPose, Waypoint
 from kinegraph.feasibility import check_constraints
 from kinegraph.motion.skeleton import bone_lengths
+from kinegraph.placements import misses_of, pins_of
 from kinegraph_benchmarks.common.constraint_cases import FIRST_SEED, KINDS, make_cases, on_common_body
 from kinegraph_benchmarks.common.predicates import FPS
 from kinegraph_benchmarks.quality.constraints import (
@@ -128,3 +129,29 @@ def test_a_seam_is_measured_where_what_is_asked_for_ends() -> None:
     assert (shares["within"], shares["within_or_asked"]) == (pytest.approx(1 / 3), pytest.approx(2 / 3))
     limits = seam_limits(CLIPS)
     assert limits[0] > 0 and limits[1] > 0
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_misses_told_with_clips_are_those_measured_here(kind: str) -> None:
+    for case in CASES[kind]:
+        joints = walk(round(case.seconds * FPS), turning=0.03).astype(np.float64)
+        assert case.constraints
+        for constraint in case.constraints:
+            (told,) = misses_of([constraint], joints, FPS)
+            assert told.metres == pytest.approx(miss(joints, constraint), abs=1e-5)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_motion_that_is_pinned_misses_nothing(kind: str) -> None:
+    for case in CASES[kind]:
+        joints = walk(round(case.seconds * FPS), turning=0.03).astype(np.float64)
+        for _ in range(8):  # places of ends and loops depend on where the motion is
+            pins = pins_of(case.constraints, joints, FPS)
+            joints = np.where(pins.wanted, pins.target, joints)
+        assert max(miss(joints, constraint) for constraint in case.constraints) < 1e-3
+
+
+def test_a_missed_heading_is_told_in_degrees() -> None:
+    joints = walk(41).astype(np.float64)
+    (told,) = misses_of([Waypoint(1, (0, 1), heading=30)], joints, FPS)
+    assert told.degrees == pytest.approx(30, abs=8)  # shoulders sway

@@ -254,7 +254,7 @@ FAULTS: tuple[Fault, ...] = (
         4,
         "edits that keep all of a clip",
         "keeping.py",
-        "    if (kept.world() | kept.relative()).all():",
+        "    if (kept.world | kept.relative).all():",
         "    if False:",
         "runtime/test_clip_editing.py -k bad_edits",
     ),

@@ -16,12 +16,14 @@ from kinegraph import MotionPipeline, frame_timeline
 from kinegraph.bundle.contract import FRAMES
 from kinegraph.diffusion.composition import CompositionWeights
 from kinegraph.diffusion.sampling import StepInfo, ddim_coefficients
+from kinegraph.energy import energy_maps
 from kinegraph.errors import Cancelled, InvalidInputError
 from kinegraph.frame_denoising import FrameSampler, clean_of, group, noise_of, ungroup
 from kinegraph.intervals import Interval
 from kinegraph.motion.features import features_from_joints
+from kinegraph.motion.skeleton import JOINT_INDEX
 from kinegraph.options import GenerateOptions, resolve_options
-from kinegraph.request import IN_ONE_INTERVAL
+from kinegraph.request import IN_ONE_INTERVAL, TURNS_ARE_FREE
 from support.motions import walk
 
 WALKS, WAVES, RUNS = "a person walks forward", "a person waves the right hand", "a person runs"
@@ -205,6 +207,25 @@ def test_an_arm_of_its_own_leaves_the_legs_alone_until_it_matters(toy: MotionPip
     assert travelled[1] > 0.5 * travelled[0]
 
 
+def test_features_of_a_part_are_those_that_its_joints_change(toy: MotionPipeline) -> None:
+    joints = walk(40)
+    before = features_from_joints(joints)
+
+    def of(*parts: str) -> np.ndarray:
+        mask = frame_timeline.features_of_parts(parts, toy.manifest).reshape(-1, before.shape[1])
+        assert (mask == mask[0]).all()
+        return mask[0] > 0
+
+    for part, names in (("left arm", ("left_elbow", "left_wrist")), ("head", ("head",))):
+        moved = joints.copy()
+        for name in names:
+            moved[:, JOINT_INDEX[name], 1] += 0.1 * np.sin(np.arange(40) / 5)
+        changed = (np.abs(features_from_joints(moved) - before) > 1e-5).any(axis=0)
+        others = {"left arm", "right arm", "head", "torso", "legs"} - {part, *(["torso"] if part == "head" else [])}
+        assert changed.any() and of(part)[changed].all() and not (of(*others) & changed).any()
+    assert of("legs", "arms", "head", "torso").all() and of().all()
+
+
 def test_in_latent_space_what_coincides_is_composed(toy: MotionPipeline) -> None:
     composed = toy.compose([WALKS, WAVES], seconds=2.2, seed=4)
     timeline = toy.timeline([Interval(WALKS, 0, 2.2), Interval(WAVES, 0, 2.2)], seed=4)
@@ -294,6 +315,15 @@ def test_a_turn_of_one_interval_is_not_that_of_all(toy: MotionPipeline, monkeypa
     toy.timeline([Interval(left, 0.0, 2.0, ("legs", "arms", "head", "torso"))], seed=4, space=FRAMES)
     toy.sequence([left, left], method="energy", seconds=2.0, seed=4)
     assert asked[0] is not None and asked[0].degrees == 90 and asked[1] is None
+    assert TURNS_ARE_FREE in toy.sequence([left, WALKS], method="energy", seconds=2.0, seed=4, steps=2).notes
+    assert TURNS_ARE_FREE not in toy.sequence([WALKS, WALKS], method="energy", seconds=2.0, seed=4, steps=2).notes
+
+
+def test_what_one_run_has_no_use_for_is_refused(toy: MotionPipeline) -> None:
+    with pytest.raises(InvalidInputError, match="seed_offsets is for parts that are made one by one"):
+        toy.sequence([WALKS, WAVES], method="energy", seed_offsets=[0, 5])
+    with pytest.raises(InvalidInputError, match="energy maps are of latent space"):
+        energy_maps(toy.in_space(FRAMES), [WALKS, WAVES])
 
 
 def test_a_sequence_by_energy_is_a_timeline_of_its_parts(toy: MotionPipeline) -> None:

@@ -1,4 +1,4 @@
-"""Latents of all clips at all levels, encoded once, as the autoencoders are frozen (GraphMotion, section 3.3).
+"""Latents of all clips at all levels, encoded once, as the autoencoders are frozen (GraphMotion, section 3.2).
 
 Shapes: n clips, c latent tokens, z latent width, f features.
 """

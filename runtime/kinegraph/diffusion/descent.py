@@ -42,7 +42,7 @@ class Limits:
     hold: float
     """How strongly the latent is held to where it started."""
     away: float
-    """Largest root mean square of the way from there."""
+    """Largest root mean square of the way from there; the step that goes beyond it is shortened, and is the last."""
 
 
 def descend(
@@ -79,7 +79,9 @@ def descend(
         else:
             step, value, slope = accepted
             latent = latent + step
-            if float(np.sqrt(((latent - origin) ** 2).mean())) > limits.away:
+            way = float(np.sqrt(((latent - origin) ** 2).mean()))
+            if way > limits.away:
+                latent = origin + (latent - origin) * (limits.away / way)
                 break
         if (after is not None and after(number)) or number == limits.steps:
             break

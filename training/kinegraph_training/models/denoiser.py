@@ -1,4 +1,4 @@
-"""Cross-attention denoisers of the three levels (GraphMotion, section 3.3; cross-attention as in EnergyMoGen).
+"""Cross-attention denoisers of the three levels (GraphMotion, section 3.2; cross-attention as in EnergyMoGen).
 
 A denoiser is split by how often its parts run. `ContextEncoder` computes the keys and values of every layer once per
 sample, `AdaLNModulation` runs once for all diffusion steps, `NoisePredictor` at every step, on the latent tokens alone.
