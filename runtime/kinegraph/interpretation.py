@@ -297,6 +297,29 @@ def _add_direction(graph: SemanticGraph, start: int, end: int) -> SemanticGraph:
     return SemanticGraph(graph.caption, tuple(actions))
 
 
+def with_straight_quotes(graph: SemanticGraph) -> SemanticGraph:
+    """Write the curly quotes of a graph as captions of training have them, straight; offsets hold."""
+    if _CURLY.isdisjoint(graph.caption):
+        return graph
+
+    def straight(text: str) -> str:
+        return text.translate(_STRAIGHTENED)
+
+    actions = tuple(
+        replace(
+            action,
+            text=straight(action.text),
+            arguments=tuple(replace(node, text=straight(node.text)) for node in action.arguments),
+        )
+        for action in graph.actions
+    )
+    return SemanticGraph(straight(graph.caption), actions)
+
+
+_CURLY: Final = frozenset(lexicon.STRAIGHT)
+_STRAIGHTENED: Final = str.maketrans(dict(lexicon.STRAIGHT))
+
+
 def known_subject(graph: SemanticGraph, is_shown: Callable[[str], bool]) -> SemanticGraph:
     """Call who moves a person where the caption has a pronoun for them, or a noun that training never had.
 
@@ -318,16 +341,37 @@ def known_subject(graph: SemanticGraph, is_shown: Callable[[str], bool]) -> Sema
     first = min(subjects, key=lambda subject: subject.start)
     own = [index for index in pieces.of(first) if pieces.pieces[index].is_word]
     words = [pieces.word(index) for index in own]
+    replaced: dict[int, str] = {}
     if words in (["he"], ["she"]):
         replaced = {own[0]: SUBJECT}
-    elif len(words) > 1 and words[0] in _ARTICLES and not is_shown(words[-1]):
-        replaced = {own[-1]: _PERSON} | ({own[0]: "a"} if words[:-1] == ["an"] else {})
-    else:
+    elif len(words) > 1 and words[0] in _ARTICLES:
+        for head in _heads(words):
+            if not (is_shown(words[head]) or words[head].endswith("s")):  # "the guards" are no person
+                replaced[own[head]] = _PERSON
+                replaced |= {own[head - 1]: "a"} if words[head - 1] == "an" else {}
+    if not replaced:
         return graph
     items = [Item(replaced.get(index, piece.text), index) for index, piece in enumerate(pieces.pieces)]
     return write(pieces, graph.actions, items)
 
 
+def _heads(words: Sequence[str]) -> list[int]:
+    """Find the nouns of who moves: "girl" of "a girl in a red dress", "orc" and "goblin" of "an orc and a goblin"."""
+    heads = []
+    begins = True  # a noun phrase, and what belongs to it has not begun
+    for index, word in enumerate(words):
+        following = words[index + 1] if index + 1 < len(words) else "and"
+        if begins and (following == "and" or following in _BELONGING):
+            heads.append(index)
+            begins = False
+        begins = begins or word == "and"
+    return heads
+
+
+_BELONGING: Final = (lexicon.DIRECTION_PREPOSITIONS | lexicon.PLACE_PREPOSITIONS | lexicon.MANNER_PREPOSITIONS) - {
+    "front"
+} | frozenset("for who which that whose wearing holding carrying named called".split())
+"""Words that open what belongs to a noun before them."""
 _ARTICLES: Final = frozenset("a an the".split())
 _PERSON: Final = SUBJECT.split()[-1]
 

@@ -66,6 +66,7 @@ from kinegraph.request import (
     MANY_AT_ONCE,
     NEVER_STOOD,
     STANDING,
+    TOO_SHORT_IN_ORDER,
     TURNS_ARE_FREE,
     interpret,
     interpret_composition,
@@ -686,7 +687,7 @@ class MotionPipeline:
             for graph, option, words in deadline.each(zip(graphs, options, unknown, strict=True))
         ]
         clip = pipe._make_timeline(timeline, parts, options[0].seed, overlap, deadline.watch(on_step), wanted)
-        in_order = any(len(split_in_order(part.graph, part.options, self.manifest)) > 1 for part in parts)
+        in_order = any(len(split_in_order(part.graph)) > 1 for part in parts)
         told = (*(note for part in parts for note in part.notes), *([IN_ONE_INTERVAL] if in_order else []))
         notes = tuple(dict.fromkeys([*told, *clip.notes]))
         text = "; ".join(each.caption for each in timeline)
@@ -935,16 +936,18 @@ class MotionPipeline:
     ) -> _EncodedSentence:
         """Interpret and encode a sentence, whole or in parts that follow one another."""
         whole = self._encode_part(graph, options, own_length=own_length, is_known=is_known)
-        graphs = split_in_order(graph, whole.options, self.manifest)
-        if len(graphs) > 1 and not in_order:
-            return _EncodedSentence(graph, (replace(whole, notes=(*whole.notes, AT_ONCE)),))
+        graphs = split_in_order(graph)
+        is_short = whole.options.frames < self.manifest.frames.min * len(graphs)
+        if len(graphs) > 1 and (not in_order or (is_short and not own_length)):
+            note = TOO_SHORT_IN_ORDER if in_order else AT_ONCE
+            return _EncodedSentence(graph, (replace(whole, notes=(*whole.notes, note)),))
         if len(graphs) == 1:
             return _EncodedSentence(graph, (self._with_each_alone(whole) if in_order else whole,))
         parts = [
             self._with_each_alone(self._encode_part(part, options, own_length=True, is_known=is_known))
             for part in graphs
         ]
-        is_free = own_length and whole.is_timed  # the lengths in words are those of the parts
+        is_free = own_length and (whole.is_timed or is_short)  # the lengths in words are those of the parts
         total = sum(part.options.frames for part in parts) if is_free else whole.options.frames
         shares = share_frames(total, [part.options for part in parts], self.manifest)
         return _EncodedSentence(graph, tuple(map(_EncodedPart.with_options, parts, shares)))

@@ -9,7 +9,7 @@ without negations (they are concepts of negative weight, EnergyMoGen Eq. 8) and 
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import Final
@@ -25,11 +25,12 @@ from kinegraph.interpretation import (
     known_wording,
     split_negations,
     split_sequence,
+    with_straight_quotes,
     without_quantity,
 )
 from kinegraph.options import GenerateOptions
 from kinegraph.text.lexicon import WORDINGS
-from kinegraph.text.quantities import Quantity, read_quantities
+from kinegraph.text.quantities import Quantity, Unit, read_quantities
 from kinegraph.text.turns import Turn, read_turn
 from kinegraph.text.vocabulary import is_shown
 
@@ -45,6 +46,11 @@ AT_ONCE: Final = (
     "`generate_timeline` makes them one by one, under constraints too"
 )
 """Note for such a sentence with constraints, or in an edit."""
+TOO_SHORT_IN_ORDER: Final = (
+    "the actions follow one another but are made at once, for the clip is too short for them one by one: one of them "
+    "may not happen; ask for a longer one"
+)
+"""Note for such a sentence, where the call gives the length."""
 IN_ONE_INTERVAL: Final = (
     "the actions of one interval follow one another but are made at once: one of them may not happen; give each an "
     "interval of its own"
@@ -61,6 +67,13 @@ MANY_AT_ONCE: Final = (
     "body"
 )
 """Note for compositions of so many, and for sentences of both hands that are not made of each action alone."""
+_DISTANCE: Final = re.compile(
+    r"\b(?:\d+(?:[.,]\d+)? ?(?:m|ft|feet|foot|km)"
+    r"|(?:\d+(?:[.,]\d+)?|an?|one|two|three|four|five|six|seven|eight|nine|ten)"
+    r" (?:(?:kilo)?met(?:er|re)s?|yards?|miles?))\b(?! ?(?:long|wide|high|tall|away|apart|behind))",
+    re.IGNORECASE,
+)
+"""How far somebody goes."""
 _HAND: Final = re.compile(r"\b(left|right) (?:hand|arm|fist|wrist|elbow|forearm)\b", re.IGNORECASE)
 SECONDS_PER_STEP: Final = 0.55
 """Length that one step of a walk takes."""
@@ -71,8 +84,8 @@ _KNOWN_SUBJECT: Final = re.compile(
 )
 """Beginnings of sentences about somebody whom training captions name: a quick look, too."""
 _TURNING: Final = re.compile(
-    r"turn|rotat|pivot|swivel|veer|swerve|spin|twirl|whirl|about[ -]?face|bend|curve|circle|\bring\b"
-    r"|\ba (?:180|270|360)\b",
+    r"turn|rotat|pivot|swivel|veer|swerve|spin|twirl|whirl|revolv|about[ -]?face|bend|curve|circle|\bring\b"
+    r"|\b(?:180|270|360)\b",
     re.IGNORECASE,
 )
 """Words of turns: a quick look, too."""
@@ -119,14 +132,18 @@ def interpret(
         InvalidGraphError: what is left of the graph cannot be put in words.
     """
     notes: list[str] = []
-    lengths: dict[int, float] = {}  # by action
+    lengths: dict[int, tuple[Unit, float]] = {}  # by action
     wanted = graph
     quantities = read_quantities(graph)
     for quantity in quantities:
         length, note = _spoken_seconds(quantity, manifest)
         notes += [] if note is None or (seconds is not None and quantity.unit != "times") else [note]
         if length is not None:
-            lengths.setdefault(quantity.action, length)
+            _note_length(lengths, quantity, length)
+    notes += [
+        f"{found.group()!r}: how far somebody goes is not held; give a `Path`, or the seconds that it takes"
+        for found in _DISTANCE.finditer(graph.caption)
+    ]
     for quantity in reversed(quantities):
         if quantity.unit != "steps":  # captions of training name steps
             wanted = _without(wanted, quantity)
@@ -137,7 +154,7 @@ def interpret(
     if positive is None:
         notes.append("the sentence only says what must not happen; the person is asked to stand still")
         positive = STANDING
-    spoken = min(sum(lengths.values()), manifest.seconds_limits[1]) if lengths else None
+    spoken = min(_total_seconds(graph, lengths), manifest.seconds_limits[1]) if lengths else None
     return Request(
         graph,
         _as_trained(positive, vocabulary),
@@ -147,6 +164,21 @@ def interpret(
         bool(lengths),
         tuple(notes),
     )
+
+
+def _note_length(lengths: dict[int, tuple[Unit, float]], quantity: Quantity, length: float) -> None:
+    """Note the length of an action: its seconds before its steps, and of steps all ("two steps left, one back")."""
+    unit, noted = lengths.get(quantity.action, (quantity.unit, 0.0))
+    if unit == quantity.unit == "steps":
+        lengths[quantity.action] = unit, noted + length
+    elif quantity.action not in lengths or unit == "steps":
+        lengths[quantity.action] = quantity.unit, length
+
+
+def _total_seconds(graph: SemanticGraph, lengths: Mapping[int, tuple[Unit, float]]) -> float:
+    """Add up what follows one another, and take the longest of what happens at once."""
+    each = [length for _, length in lengths.values()]
+    return sum(each) if len(each) > 1 and len(split_in_order(graph)) > 1 else max(each)
 
 
 @dataclass(frozen=True)
@@ -259,6 +291,7 @@ def _as_trained(graph: SemanticGraph, vocabulary: Vocabulary | None) -> Semantic
 
     A graph that has no room left for the words stays as it is.
     """
+    graph = with_straight_quotes(graph)
     with suppress(InvalidGraphError):
         if _TOLD.match(graph.caption) is None:
             graph = in_third_person(graph)
@@ -279,7 +312,7 @@ def _without(graph: SemanticGraph, quantity: Quantity) -> SemanticGraph:
         return graph
 
 
-def split_in_order(graph: SemanticGraph, options: GenerateOptions, manifest: Manifest) -> list[SemanticGraph]:
+def split_in_order(graph: SemanticGraph) -> list[SemanticGraph]:
     """Split a graph whose actions follow one another into parts to be made one by one.
 
     Sampled at once, "walks forward, then bows" bows in none of ten clips of 8 s, and walks in none of 4 s (studio
@@ -287,17 +320,11 @@ def split_in_order(graph: SemanticGraph, options: GenerateOptions, manifest: Man
 
     Args:
         graph: as the user wrote it.
-        options: of the clip, with its length.
-        manifest: of the bundle.
 
     Returns:
-        The parts, or the graph alone if it is to be sampled at once: one action, or a clip too short for its parts.
+        The parts, or the graph alone if it is to be sampled at once.
     """
-    if len(graph.actions) < 2:
-        return [graph]
-    parts = split_sequence(graph)
-    is_short = options.frames < manifest.frames.min * len(parts)
-    return [graph] if len(parts) < 2 or is_short else parts
+    return split_sequence(graph)
 
 
 def share_frames(total: int, own: Sequence[GenerateOptions], manifest: Manifest) -> list[GenerateOptions]:

@@ -10,10 +10,19 @@ import pytest
 
 from kinegraph import InvalidInputError, MotionPipeline, Waypoint
 from kinegraph.bundle.manifest import Manifest
+from kinegraph.bundle.reader import read_bundle
 from kinegraph.concepts import SPOKEN_NEGATION_WEIGHT, validate_composition
 from kinegraph.graph import Action, SemanticGraph
 from kinegraph.options import part_seed, resolve_options
-from kinegraph.request import AT_ONCE, STANDING, interpret, interpret_composition, share_frames, split_in_order
+from kinegraph.request import (
+    AT_ONCE,
+    STANDING,
+    TOO_SHORT_IN_ORDER,
+    interpret,
+    interpret_composition,
+    share_frames,
+    split_in_order,
+)
 
 pytest.importorskip("spacy")
 
@@ -161,14 +170,125 @@ def test_a_shared_run_refuses_negations(toy: MotionPipeline) -> None:
 
 
 @pytest.mark.parametrize(("seconds", "parts"), [(4.0, 2), (8.0, 2), (1.2, 1)], ids=["short", "long", "too short"])
-def test_actions_in_order_are_parts_where_there_is_room(
-    toy: MotionPipeline, manifest: Manifest, seconds: float, parts: int
-) -> None:
+def test_actions_in_order_are_parts_where_there_is_room(toy: MotionPipeline, seconds: float, parts: int) -> None:
     graph = toy.parse("a person walks forward, then bows")
-    options = resolve_options(manifest, seconds=seconds)
-    assert len(split_in_order(graph, options, manifest)) == parts
+    assert len(split_in_order(graph)) == 2
+    totals: list[int] = []
+    clip = toy.generate(graph, seconds=seconds, on_step=lambda info: totals.append(info.total), **FEW)
+    assert totals[0] == (14 if parts == 2 else 7)
+    assert (TOO_SHORT_IN_ORDER in clip.notes) == (parts == 1)
     at_once = toy.parse("a person walks while waving")
-    assert split_in_order(at_once, options, manifest) == [at_once]
+    assert split_in_order(at_once) == [at_once]
+
+
+@pytest.mark.parametrize(
+    ("sentence", "seconds"),
+    [
+        ("a person takes one step forward, then bows", None),
+        ("a person walks, stops for 0.5 seconds, and walks again", None),
+    ],
+)
+def test_the_length_of_one_action_is_not_that_of_the_whole(
+    toy: MotionPipeline, sentence: str, seconds: float | None
+) -> None:
+    parts = split_in_order(toy.parse(sentence))
+    assert len(parts) > 1
+    totals: list[int] = []
+    clip = toy.generate(sentence, seconds=seconds, on_step=lambda info: totals.append(info.total), **FEW)
+    assert totals[0] == 7 * len(parts) and clip.duration > 1.5 and TOO_SHORT_IN_ORDER not in clip.notes
+
+
+@pytest.mark.parametrize(
+    ("sentence", "seconds"),
+    [
+        ("a person walks for 4 seconds while waving for 4 seconds", 4.0),
+        ("a person walks five steps in 3 seconds", 3.0),
+        ("a person walks for 2 seconds, then bows for 3 seconds", 5.0),
+    ],
+)
+def test_lengths_at_once_and_in_order(toy: MotionPipeline, manifest: Manifest, sentence: str, seconds: float) -> None:
+    assert interpret(toy.parse(sentence), manifest).seconds == pytest.approx(seconds)
+
+
+@pytest.mark.parametrize(
+    ("sentence", "wanted"),
+    [
+        ("don’t move", "a person doesn't move"),
+        ("you're walking slowly", "a person is walking slowly"),
+        ("I'm walking forward", "a person is walking forward"),
+        ("your left arm goes up", "the left arm goes up"),
+        ("my character waves", "the character waves"),
+        ("walk until your hand touches the wall", "a person walks until the hand touches the wall"),
+        ("walks for three-and-a-half seconds", "a person walks"),
+        ("waits for a second", "a person waits"),
+        ("walk ➡ wave ➜ bow", "a person walks, then waves, then bows"),
+        ("turn left, then right", "a person turns left, then turns right"),
+        ("Kate walks forward", "Kate walks forward"),
+    ],
+)
+def test_what_people_type_is_told_as_captions_are(
+    toy: MotionPipeline, manifest: Manifest, sentence: str, wanted: str
+) -> None:
+    assert interpret(toy.parse(sentence), manifest).wanted.caption == wanted
+
+
+@pytest.mark.parametrize(
+    ("sentence", "distance"),
+    [
+        ("a person walks 10 meters", "10 meters"),
+        ("walk 5m forward", "5m"),
+        ("a person runs a mile", "a mile"),
+        ("a person hops on two feet", None),
+        ("a person walks for 5 minutes", None),
+        ("a person looks at something 3 meters away", None),
+    ],
+)
+def test_distances_are_told_not_to_be_held(
+    toy: MotionPipeline, manifest: Manifest, sentence: str, distance: str | None
+) -> None:
+    told = [note for note in interpret(toy.parse(sentence), manifest).notes if "how far somebody goes" in note]
+    assert [note.split(":")[0] for note in told] == ([] if distance is None else [repr(distance)])
+
+
+def test_a_curly_apostrophe_negates_as_a_straight_one_does(toy: MotionPipeline, manifest: Manifest) -> None:
+    request = interpret(toy.parse("a person walks but doesn’t wave"), manifest)
+    assert request.wanted.caption == "a person walks" and [g.caption for g in request.negated] == ["a person waves"]
+
+
+@pytest.mark.parametrize(
+    ("sentence", "parts"),
+    [
+        ("turn left, then right", ["a person turns left", "a person turns right"]),
+        (
+            "a person raises the left hand, then the right hand and then bows",
+            ["a person raises the left hand", "a person raises the right hand", "a person bows"],
+        ),
+        (
+            "a person kicks with the right leg, then with the left leg",
+            ["a person kicks with the right leg", "a person kicks with the left leg"],
+        ),
+        ("a person walks and eventually falls", ["a person walks", "a person falls"]),
+        ("a person walks slowly", ["a person walks slowly"]),
+    ],
+)
+def test_a_verb_that_is_said_once_may_be_of_two_parts(toy: MotionPipeline, sentence: str, parts: list[str]) -> None:
+    assert [part.caption for part in split_in_order(toy.parse(sentence))] == parts
+
+
+@pytest.mark.parametrize(
+    ("sentence", "wanted"),
+    [
+        ("an angry wizard walks", "an angry person walks"),
+        ("an orc with a limp walks", "a person with a limp walks"),
+        ("a girl in a red dress walks", "a girl in a red dress walks"),
+        ("the zombies walk", "the zombies walk"),
+    ],
+)
+def test_the_noun_of_who_moves_is_made_known_and_no_other(
+    toy: MotionPipeline, manifest: Manifest, sentence: str, wanted: str
+) -> None:
+    vocabulary = read_bundle().vocabulary
+    assert interpret(toy.parse(sentence), manifest, vocabulary).wanted.caption == wanted
 
 
 def test_parts_make_a_clip_of_the_length_asked_for(toy: MotionPipeline) -> None:

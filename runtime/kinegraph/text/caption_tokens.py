@@ -12,6 +12,7 @@ from itertools import pairwise
 from typing import Any, Final, NamedTuple
 
 from kinegraph.text import lexicon
+from kinegraph.text.quantities import is_counted
 
 
 class CaptionToken(NamedTuple):
@@ -139,7 +140,7 @@ _NUMBER_WORDS: Final = {
 }
 _ROMAN: Final = {word: value for value, word in enumerate("i ii iii iv v vi vii viii ix x".split(), 1)}
 _BULLETS: Final = frozenset("- – — • * · ▪ ● ◦ ‣ ► > →".split())
-_ARROWS: Final = frozenset("-> => → > |".split())
+_ARROWS: Final = frozenset("-> => → ➡ ➜ ⇒ > |".split())
 _STEP_SIGNS: Final = _BULLETS | _ARROWS | frozenset("( ) [ # :".split())
 _MARKS: Final = frozenset(". ) : - – — ]".split())
 
@@ -204,6 +205,8 @@ def _read_marker(tokens: Sequence[CaptionToken], index: int) -> tuple[int, int, 
         return value, end + closed, "step" if closed else "bare"
     if closed:
         return value, end + 1, style
+    if end < len(tokens) and is_counted(tokens[end].text.lower()):
+        return None  # "1 jump, 2 kicks"
     return (value, end, "bare") if number.isdecimal() or opened else None
 
 

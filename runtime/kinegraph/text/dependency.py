@@ -119,8 +119,8 @@ def import_in_background() -> None:
 
 
 def clean(caption: str) -> str:
-    """Replace white space and control characters by blanks, one for one, so that offsets hold."""
-    return "".join(char if char.isprintable() else " " for char in caption)
+    """Replace white space and control characters by blanks, and curly quotes by straight ones; offsets hold."""
+    return "".join(lexicon.STRAIGHT.get(char, char) if char.isprintable() else " " for char in caption)
 
 
 Span = tuple[int, int]

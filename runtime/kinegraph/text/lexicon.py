@@ -6,6 +6,9 @@ from __future__ import annotations
 
 from typing import Final
 
+STRAIGHT: Final = {"’": "'", "‘": "'", "ʼ": "'", "“": '"', "”": '"', "º": "°"}
+"""Signs as telephones and word processors write them, and what captions of training have for them."""
+
 UNACCUSATIVE: Final = frozenset(
     "turn stand rise stop fall stumble rotate spin move bend lean trip slip balance sway roll remain stay start begin"
     " end finish happen collapse sit lie kneel slide".split()

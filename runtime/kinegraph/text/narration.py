@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import replace
+from itertools import pairwise
 from typing import Final
 
 from kinegraph.errors import InvalidGraphError
@@ -16,14 +19,16 @@ SUBJECT: Final = "a person"
 """Who moves where a caption does not say it."""
 
 
-READERS: Final = frozenset("i me we us you your".split())
+READERS: Final = frozenset("i me we us you your my our".split())
 """Words for who reads or writes a caption, not for who moves."""
+OWNERS: Final = {"your": "the", "my": "the", "our": "the"}
+"""What belongs to the reader, in a sentence about a person; training captions say "the hand", not "their hand"."""
 _PLURALS: Final = frozenset("they them people men women children both all".split()) | frozenset(
     "two three four five six seven eight nine ten several many".split()
 )
 OBJECT_FORMS: Final = {"him": "he", "her": "she", "them": "they"}
 """Pronouns of objects, with those of subjects."""
-BE: Final = frozenset("is are was were am be been being 's 're gets get got".split())
+BE: Final = frozenset("is are was were am be been being 's 're 'm gets get got".split())
 """Auxiliaries of the continuous form and the passive voice."""
 
 
@@ -53,13 +58,68 @@ def subject_items(pieces: Pieces, subject: Argument | None) -> list[Item]:
     if subject is None:
         return [Item(SUBJECT)]
     own = list(pieces.of(subject))
-    words = {pieces.word(index) for index in own}
-    if not own or words & READERS:
+    if is_reader(pieces, own):
         # the node stays on the words that stand for the reader
         return [Item(SUBJECT, own[0])] if own else [Item(SUBJECT)]
     if len(own) == 1:
         return [Item(OBJECT_FORMS.get(pieces.word(own[0]), pieces.pieces[own[0]].text), own[0])]
-    return pieces.items(own)
+    return [Item(OWNERS.get(pieces.word(index), pieces.pieces[index].text), index) for index in own]
+
+
+def is_reader(pieces: Pieces, own: Sequence[int]) -> bool:
+    """Tell whether pieces name the reader, and not what belongs to them ("you", not "your left arm")."""
+    return all(pieces.word(index) in READERS for index in own)
+
+
+def repeat_verbs(graph: SemanticGraph) -> SemanticGraph:
+    """Say a verb again where a caption says it once for what follows: "turn left, then right" turns twice.
+
+    A caption that becomes longer than allowed stays as it is.
+    """
+    for index, action in enumerate(graph.actions):
+        behind = sorted((node for node in action.arguments if node.start >= action.end), key=lambda node: node.start)
+        for before, node in pairwise(behind):
+            words = node.text.split(maxsplit=1)
+            is_first = before is behind[0] and len(words) > 1 and words[0].lower() in _THEN
+            is_apart = before.text.lower() in _THEN and before is not behind[0]
+            if not (is_first or is_apart):
+                continue
+            place = node.start + (len(node.text) - len(words[1]) if is_first else 0)
+            if any(action.end <= other.start < node.end for other in graph.actions):
+                break
+            with suppress(InvalidGraphError):
+                return _say_again(graph, index, place)
+    return graph
+
+
+def _say_again(graph: SemanticGraph, index: int, place: int) -> SemanticGraph:
+    """Insert the verb of an action at a character; what stands behind it belongs to the new action."""
+    action = graph.actions[index]
+    shift = len(action.text) + 1
+
+    def moved(node: Argument) -> Argument:
+        start = max(node.start, place)  # without "then"
+        return replace(node, text=graph.caption[start : node.end], start=start + shift, end=node.end + shift)
+
+    def kept(node: Action | Argument) -> tuple[int, int]:
+        return (node.start + shift, node.end + shift) if node.start >= place else (node.start, node.end)
+
+    first = tuple(node for node in action.arguments if node.end <= place and node.text.lower() not in _THEN)
+    second = tuple(moved(node) for node in action.arguments if node.end > place)
+    actions = []
+    for other in graph.actions:
+        arguments = (
+            first
+            if other is action
+            else tuple(replace(node, start=kept(node)[0], end=kept(node)[1]) for node in other.arguments)
+        )
+        actions.append(replace(other, start=kept(other)[0], end=kept(other)[1], arguments=arguments))
+    again = replace(action, start=place, end=place + len(action.text), arguments=second)
+    caption = f"{graph.caption[:place]}{action.text} {graph.caption[place:]}"
+    return SemanticGraph(caption, (*actions[: index + 1], again, *actions[index + 1 :]))
+
+
+_THEN: Final = frozenset("then next afterwards finally".split())
 
 
 def name_subject(graph: SemanticGraph) -> SemanticGraph:

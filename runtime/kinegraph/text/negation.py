@@ -20,7 +20,7 @@ _MOVING: Final = frozenset("move budge stir flinch".split())
 _STATIVE: Final = lexicon.STATIVE | {"be", "have"}
 _BETWEEN: Final = frozenset(
     "even ever really also just do does did to be being any a an the his her their its single much both either too"
-    " again once".split()
+    " again once longer".split()
 )
 """Words that may stand between a negator and its verb, beside adverbs in -ly."""
 _EVENTS: Final = lexicon.EVENT_NOUNS - frozenset("movement motion stop start balance point pace rotation stand".split())

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass
-from itertools import pairwise
+from itertools import pairwise, zip_longest
 
 from kinegraph.text import lexicon
 from kinegraph.text.caption_tokens import CaptionToken
@@ -93,7 +93,10 @@ def normalise_tokens(
         dictionary: English words.
         verbs_at: indices of tokens that are known to be finite verbs; the others are judged by their neighbours.
     """
-    words = tuple(correct_spelling(token.text, dictionary.is_known) for token in tokens)
+    words = tuple(
+        _corrected(token.text, following.text if following else "", dictionary.is_known)
+        for token, following in zip_longest(tokens, tokens[1:])
+    )
     lower = [word.lower() for word in words]
     surrogates = _lower_case(words)
     lemmas: list[str | None] = []
@@ -319,6 +322,13 @@ def _ends_phrase(lower: Sequence[str], index: int) -> bool:
     """Tell whether the word at an index cannot be a noun that an adjective before it modifies."""
     following = lower[index] if index < len(lower) else ""
     return not following.isalpha() or following in _SIDE_FOLLOWERS or following.endswith("ly")
+
+
+def _corrected(word: str, following: str, is_known: Callable[[str], bool]) -> str:
+    """Correct a slip, but make no verb of who moves: "Kate walks" is no "Skate walks"."""
+    corrected = correct_spelling(word, is_known)
+    is_verb = corrected.lower() in lexicon.VERBS or corrected.lower() in lexicon.FINITE_VERBS
+    return word if is_verb and following.lower() in lexicon.FINITE_VERBS else corrected
 
 
 def correct_spelling(word: str, is_known: Callable[[str], bool]) -> str:

@@ -19,20 +19,21 @@ Node = Action | Argument
 NEGATING: Final = frozenset(
     "without not n't nt never no neither nor instead of rather than do does did is are was were am be 's 're ca can"
     " wo will would could should don't doesn't didn't isn't aren't wasn't won't can't cannot couldn't shouldn't"
-    " wouldn't dont doesnt didnt cant wont even ever any just really also simply while by being at all".split()
+    " wouldn't dont doesnt didnt cant wont even ever any just really also simply while by being at all longer hardly"
+    " 'm".split()
 )
 """Words that are left out with a negated verb that they stand before."""
 CONNECTIVES: Final = frozenset("and but or then while nor yet , ; – — / & +".split())
 """Words and signs that join clauses."""
 SEQUENCE_WORDS: Final = frozenset(
     "then next afterwards afterward finally lastly first firstly second secondly third thirdly fourth fifth later"
-    " subsequently thereafter".split()
+    " subsequently thereafter eventually".split()
 )
 """Words that tell the place of an action in a sequence."""
 AFTER_THAT: Final = (frozenset(("after", "that")), frozenset(("after", "this")))
 RELATIVE: Final = frozenset("who which that whose".split())
 """Words that open a relative clause."""
-STOPS: Final = frozenset(". ; ! ? | → >".split())
+STOPS: Final = frozenset(". ; ! ? | → ➡ ➜ ⇒ >".split())
 """Signs between sentences or steps."""
 SIGNS: Final = STOPS | frozenset(", : ( ) [ ] - – — • * · / &".split())
 
@@ -50,8 +51,8 @@ class Piece:
 
     @property
     def word(self) -> str:
-        """The text in lower case."""
-        return self.text.lower()
+        """The text in lower case, with straight apostrophes."""
+        return self.text.lower().replace("’", "'")
 
     @property
     def is_word(self) -> bool:

@@ -91,7 +91,7 @@ class _Number:
     """Index of its last word."""
 
 
-_WORD: Final = re.compile(r"\d+(?:\.\d+)?|[^\W\d_]+(?:['’][^\W\d_]+)?|[^\w\s]")
+_WORD: Final = re.compile(r"\d+/\d+|\d+(?:\.\d+|,\d(?![\d,]))?|(?<![\w.])\.\d+|[^\W\d_]+(?:['’][^\W\d_]+)?|[^\w\s]")
 _UNITS: Final = {
     "second": 1.0, "seconds": 1.0, "sec": 1.0, "secs": 1.0, "s": 1.0, "minute": 60.0, "minutes": 60.0, "min": 60.0,
     "mins": 60.0, "hour": 3600.0, "hours": 3600.0, "h": 3600.0, "ms": 0.001, "milliseconds": 0.001,
@@ -109,17 +109,21 @@ _TENS: Final = {
     for value, word in enumerate("twenty thirty forty fifty sixty seventy eighty ninety".split(), start=2)
 }
 _MAY_HOLD_QUANTITY: Final = re.compile(
-    rf"\d|\b(?:half|quarter|twice|thrice|once|hundred|dozen|couple|minute|{'|'.join([*_ONES, *_TENS])})\b",
+    rf"\d|\b(?:half|quarter|twice|thrice|once|hundred|dozen|couple|minute|min|second|sec|hour)\b"
+    rf"|\b(?:{'|'.join([*_ONES, *_TENS])})\b",
     re.IGNORECASE,
 )
 """A quick look before words are read."""
-_DEGREES: Final = re.compile(r"degrees?|degs?|°")
+_DEGREES: Final = re.compile(r"degrees?|degs?|[°º]")
+_PACES: Final = frozenset("step steps pace paces stride strides".split())
 _FIXED_COUNTS: Final = {"twice": 2.0, "thrice": 3.0}
 _ABOUT: Final = frozenset(
     "about around approximately roughly exactly almost nearly only just least most another the first last next up to at"
     " over".split()
 )
 """Words between "for" and the number."""
+_OPENERS: Final = frozenset("for during in within over lasting between".split())
+"""Words before a length."""
 _MOMENTS: Final = frozenset("after every before at until since each per".split())
 """Words that make a length a moment or a pace ("after two seconds")."""
 _EVENTS: Final = (lexicon.EVENT_NOUNS - frozenset("step movement motion".split())) | frozenset(
@@ -130,6 +134,11 @@ _PLURAL_EVENTS: Final = frozenset(
     for noun in _EVENTS
     for plural in (noun + "s", noun + "es", noun[:-1] + "ies" if noun.endswith("y") else noun + "s")
 )
+
+
+def is_counted(noun: str) -> bool:
+    """Tell whether a noun is one that numbers count: a unit, steps, or several of a motion ("kicks")."""
+    return noun in _UNITS or noun in _PACES or noun in _PLURAL_EVENTS
 
 
 def find_quantities(text: str) -> list[FoundQuantity]:
@@ -209,7 +218,7 @@ def _counted(words: Sequence[_Word], index: int) -> tuple[FoundQuantity | None, 
     is_glued = index and words[index - 1].end == words[index].start
     if is_glued and (words[index - 1].text[-1].isalnum() or words[index - 1].text in ".,"):
         return None, number.last  # a part of another number or word
-    number, is_range = _read_range(words, number)
+    number, is_range = _read_range(words, index, number)
     unit_at = number.last + (2 if _text(words, number.last + 1) in ("-", "‐", "‑", "more") else 1)
     if _text(words, unit_at) in ("more", "full", "whole", "long"):
         unit_at += 1
@@ -228,12 +237,14 @@ def _counted(words: Sequence[_Word], index: int) -> tuple[FoundQuantity | None, 
     glued = unit == "x" and words[unit_at].start == words[number.last].end
     if unit in ("times", "time") or (unit == "x" and (glued or not _text(words, unit_at + 1).isdecimal())):
         return _found(words, _with_about(words, index), unit_at, number.value, "times"), unit_at
-    if unit in ("step", "steps"):
+    if unit in _PACES:
         return _found(words, index, unit_at, number.value, "steps", False), unit_at
-    for noun_at in (unit_at, unit_at + 1):
+    # a plural between is what the number counts: "two crutches | steps"
+    is_plural = unit.endswith("s") and not unit.endswith("ss") and unit not in lexicon.NOUN_ADJECTIVES
+    for noun_at in (unit_at,) if is_plural else (unit_at, unit_at + 1):
         if _text(words, noun_at) in _PLURAL_EVENTS and number.value >= 2:
             return _found(words, index, noun_at, number.value, "times", False), noun_at
-        if _text(words, noun_at) == "steps":
+        if _text(words, noun_at) in ("steps", "paces", "strides"):
             return _found(words, index, noun_at, number.value, "steps", False), noun_at
     return None
 
@@ -246,7 +257,7 @@ def _length(
     before = _text(words, first - 1)
     value = number.value * _UNITS[words[unit_at].text]
     is_ordinal = words[unit_at].text == "second" and words[index].text in ("a", "an", "one") and number.last == index
-    if before in ("for", "during", "in", "within"):
+    if before in _OPENERS or (before == "up" and _text(words, first) == "to"):
         first -= 1
     elif is_ordinal or before in _MOMENTS:
         return None
@@ -285,9 +296,10 @@ def _is_negative(words: Sequence[_Word], index: int) -> bool:
     return index == 1 or words[index - 2].end < words[index - 1].start
 
 
-def _read_range(words: Sequence[_Word], number: _Number) -> tuple[_Number, bool]:
-    """Read "two to three" and "2-3" as their mean; tells whether it was a range."""
-    if _text(words, number.last + 1) in ("to", "or", "-", "–"):
+def _read_range(words: Sequence[_Word], first: int, number: _Number) -> tuple[_Number, bool]:
+    """Read "two to three", "2-3" and "between two and three" as their mean; tells whether it was a range."""
+    is_between = _text(words, first - 1) == "between" and _text(words, number.last + 1) == "and"
+    if _text(words, number.last + 1) in ("to", "or", "-", "–") or is_between:
         other = _read_number(words, number.last + 2)
         if other is not None and other.value > number.value and _text(words, number.last + 2) not in ("a", "an"):
             return _Number((number.value + other.value) / 2, other.last), True
@@ -300,10 +312,13 @@ def _read_number(words: Sequence[_Word], index: int) -> _Number | None:
     if word in ("half", "quarter") or (word == "a" and _text(words, index + 1) in ("half", "quarter")):
         return _read_fraction(words, index)
     value, last = 0.0, index
-    if word[:1].isdecimal():
+    if word[:1].isdecimal() or (word[:1] == "." and word[1:]):
         if len(word) > 12 or not word.isascii():
             return None
-        value = float(word)
+        value = _in_digits(word)
+        fraction = _in_digits(_text(words, index + 1)) if "/" in _text(words, index + 1) else 0.0
+        if 0 < fraction < 1 and value.is_integer():  # "3 1/2"
+            value, last = value + fraction, index + 1
     elif word in _TENS:
         value = float(_TENS[word])
         one_at = index + (2 if _text(words, index + 1) == "-" else 1)
@@ -317,9 +332,18 @@ def _read_number(words: Sequence[_Word], index: int) -> _Number | None:
             last += _text(words, last + 1) == "of"
     else:
         return None
-    if [_text(words, last + step) for step in (1, 2, 3)] == ["and", "a", "half"]:
-        value, last = value + 0.5, last + 3
+    for half in (["and", "a", "half"], ["-", "and", "-", "a", "-", "half"]):
+        if [_text(words, last + step) for step in range(1, len(half) + 1)] == half:
+            value, last = value + 0.5, last + len(half)
     return _Number(value, last)
+
+
+def _in_digits(word: str) -> float:
+    """Read "3", "3.5", "3,5", ".5" and "1/2"; 0 for a fraction that is none."""
+    if "/" not in word:
+        return float(word.replace(",", "."))
+    above, below = map(float, word.split("/"))
+    return above / below if below else 0.0
 
 
 def _read_fraction(words: Sequence[_Word], index: int) -> _Number | None:

@@ -11,13 +11,16 @@ from kinegraph.text import lexicon
 from kinegraph.text.narration import (
     BE,
     OBJECT_FORMS,
+    OWNERS,
     READERS,
     SUBJECT,
     form,
     is_noun,
+    is_reader,
     is_singular,
     is_state,
     name_subject,
+    repeat_verbs,
     subject_items,
     subject_of,
     third_person,
@@ -69,7 +72,7 @@ def split_sequence(graph: SemanticGraph) -> list[SemanticGraph]:
     Raises:
         InvalidGraphError: a caption becomes longer than allowed.
     """
-    pieces = Pieces(graph)
+    pieces = Pieces(repeat_verbs(graph))
     groups = _group_actions(pieces)
     if len(groups) == 1 and _is_told(pieces, groups[0][0]):
         return [graph]
@@ -250,6 +253,9 @@ def _part(pieces: Pieces, group: Sequence[Action], groups: Sequence[Sequence[Act
             text = third_person(text)
         elif index in readers:
             text = "they"
+        elif index == rest[0] and items[:1] and items[0].text == SUBJECT and text.lower() in _PERSONS_OF_BE:
+            items.append(Item(_PERSONS_OF_BE[text.lower()]))
+            continue
         elif text.lower() in ("don't", "dont") or pieces.word(index + 1) in ("not", "n't", "nt"):
             text = _AUXILIARIES.get(text.lower(), text)
         else:
@@ -259,19 +265,22 @@ def _part(pieces: Pieces, group: Sequence[Action], groups: Sequence[Sequence[Act
     return name_subject(part) if items[:1] == [Item(SUBJECT)] else part
 
 
+_PERSONS_OF_BE: Final = {
+    "are": "is", "am": "is", "'re": "is", "'m": "is", "were": "was", "have": "has", "'ve": "has",
+}  # fmt: skip
+"""Auxiliaries behind who reads, for a person."""
 _AUXILIARIES: Final = {"do": "does", "don't": "doesn't", "dont": "doesn't"}
 
 
 def _reader_words(pieces: Pieces, action: Action) -> list[int]:
     """Find the words for the reader who is the subject of an action ("until | you | reach the wall")."""
     subject = subject_of(pieces.graph, action)
-    return [index for index in pieces.of(subject) if pieces.word(index) in READERS] if subject else []
+    own = pieces.of(subject) if subject else []
+    return list(own) if is_reader(pieces, own) else []
 
 
-_TOLD_WORDS: Final = {
-    "your": "the", "my": "the", "our": "the", "yourself": "themselves", "being": "is",
-}  # fmt: skip
-"""Words for the reader in a sentence about a person; training captions say "the hand", not "their hand"."""
+_TOLD_WORDS: Final = OWNERS | {"yourself": "themselves", "myself": "themselves", "being": "is"}
+"""Words for the reader in a sentence about a person."""
 
 
 def _own_action(pieces: Pieces, action: Action, foreign: set[int]) -> Action:

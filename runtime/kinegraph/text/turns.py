@@ -40,7 +40,7 @@ _TO_A_SIDE: Final = re.compile(r"(?:rotat|spin|twirl|whirl)(?:e?s|ed|n?ing|e)?$"
 """Verbs of turns that go on, unless the sentence says how far."""
 _NOUN: Final = re.compile(
     r"\b(?:an?|one|the|sharp|slight|small|left|right|quarters?|half|full|complete|whole|degrees?)[ -](?:u-?)?"
-    r"(?:turn|rotation)\b|\ban? (?:90|180|270|360)\b(?! \w*(?:sec|step|time|frame))"
+    r"(?:turn|rotation)\b|\ban? (?:[a-z]+ )?(?:90|180|270|360)\b(?! \w*(?:sec|step|time|frame))"
     r"|\bu-?turn\b|\babout[ -]?(?:face|turn)\b"
     r"|\b(?:along|around|round) a (?:bend|curve)\b|\b(?:walk|path|way|course|run)\b[^,.;]*? (?:bends|curves)\b",
     re.IGNORECASE,
@@ -50,8 +50,9 @@ _CIRCLE: Final = re.compile(
 )
 """One round, more or less."""
 _MEASURE: Final = re.compile(
-    r"(?:all )?(?:(?:an?|the|one|one's|his|her|their|its) )?(?:(?!an? |the |upper |lower )\w+[ -]){0,3}?"
-    r"(?:degree|°|turn|circle|ring\b|bend\b|curve|way\b|quarter|half|u\b|about\b|rotation|revolution|\d+$"
+    r"(?:slight\w*|a little|a bit)\b"
+    r"|(?:all )?(?:(?:an?|the|one|one's|his|her|their|its) )?(?:(?!an? |the |upper |lower )\w+[ -]){0,3}?"
+    r"(?:degree|[°º]|turn|circle|ring\b|bend\b|curve|way\b|quarter|half|u\b|about\b|rotation|revolution|\d+$"
     r"|body\b|(?:him|her|it|one)self\b|themsel(?:f|ves)\b)",
     re.IGNORECASE,
 )
@@ -70,6 +71,12 @@ _WITHOUT_END: Final = re.compile(
     re.IGNORECASE,
 )
 """Words of turns whose size they do not fix, and of paths."""
+_KEEPS: Final = re.compile(
+    r"\b(?:ke(?:ep|eps|eping|pt)|continu\w+|repeated\w*|again and again|always|times|twice|thrice|both ways)"
+    r"(?:,? (?:on|to|he|she|it|they|an? \w+|the \w+))* $",
+    re.IGNORECASE,
+)
+"""Words right before a turn that say it is not one."""
 _SLIGHT: Final = re.compile(r"\b(?:slight\w*|a little|a bit|small)\b", re.IGNORECASE)
 _ROUND: Final = r"(?:turn|circle|rotation|revolution|round|spin|way)\b"
 _AROUND: Final = re.compile(
@@ -84,7 +91,8 @@ _MORE_THAN_ONE: Final = re.compile(
 )
 """Sizes beyond one round, or that turn nobody."""
 _BARE: Final = re.compile(
-    r"\b(?:turn\w*|rotat\w*|spin\w*|pivot\w*|by|an?) (45|90|135|180|270|360)\b"
+    r"\b(?:turn\w*|rotat\w*|spin\w*|pivot\w*|by|an?) (?:(?:a?round|(?:to the )?(?:left|right)),? |[a-z]+ )?"
+    r"(45|90|135|180|270|360)\b"
     r"(?! ?(?:deg|°|cm\b|m\b|met|%|percent|\w*(?:sec|step|time|frame)))",
     re.IGNORECASE,
 )
@@ -120,19 +128,17 @@ def read_turn(graph: SemanticGraph) -> Turn | None:
 
     Actions that must not happen, and nodes of weight 0, count for nothing.
     """
-    if _WITHOUT_END.search(graph.caption) or _MORE_THAN_ONE.search(graph.caption):
-        return None
     caption = graph.caption
     for node in (node for action in graph.actions for node in action.arguments if node.weight == 0):
         caption = caption[: node.start] + " " * (node.end - node.start) + caption[node.end :]
     actions = sorted(graph.actions, key=lambda action: action.start)
     turns = [
-        _turn_of(action, _clause(caption, actions, index))
+        _turn_of(action, _clause(caption, actions, index), caption[: action.start])
         for index, action in enumerate(actions)
         if not action.negated and action.weight > 0
     ]
     read = [turn for turn in turns if turn is not None]
-    return read[0] if len(read) == 1 else None
+    return read[0] if len(read) == 1 and read[0] is not _ENDLESS else None
 
 
 def _clause(caption: str, actions: Sequence[Action], index: int) -> str:
@@ -147,8 +153,12 @@ def _clause(caption: str, actions: Sequence[Action], index: int) -> str:
     return caption[min([action.start, *starts]) : max([min(after, default=len(caption)), *ends])]
 
 
-def _turn_of(action: Action, clause: str) -> Turn | None:
-    """Read the turn of one action."""
+_ENDLESS: Final = Turn(0.0, 0, False)
+"""A turn of no size that words fix."""
+
+
+def _turn_of(action: Action, clause: str, before: str) -> Turn | None:
+    """Read the turn of one action, of its clause and of the words before it."""
     is_circle = _CIRCLE.search(clause) is not None
     is_noun = is_circle or _NOUN.search(clause) is not None
     is_turn, goes_on = (words.match(action.text) is not None for words in (_VERB, _TO_A_SIDE))
@@ -156,6 +166,9 @@ def _turn_of(action: Action, clause: str) -> Turn | None:
         return None
     if not is_noun and _OTHER_SENSE.match(clause[clause.find(action.text) :]):
         return None
+    led = before.rsplit(",", 1)[-1] + clause  # "two full | turns"
+    if _WITHOUT_END.search(clause) or _MORE_THAN_ONE.search(led) or _KEEPS.search(before):
+        return _ENDLESS
     sides = _SIDES_OF_THE_BODY.sub("", _AGAINST_THE_CLOCK.sub("left", clause))
     left, right = _LEFT.search(sides) is not None, _RIGHT.search(sides) is not None
     degrees = _said_degrees(clause if (is_turn or is_noun) and not is_circle else _AROUND.sub("", clause))

@@ -26,6 +26,7 @@ from kinegraph.arrays import FloatArray
 from kinegraph.bundle.vocabulary import ACTION_SENTENCE, STYLE_SENTENCE, Vocabulary
 from kinegraph.graph import SemanticGraph
 from kinegraph.text import lexicon
+from kinegraph.text.narration import subject_of
 from kinegraph.text.words import (
     CONTRACTION,
     FUNCTION,
@@ -66,6 +67,7 @@ _LIMB: Final = re.compile(r"\b(?:hand|arm)s?\b")
 _EACH_OTHER: Final = frozenset((("other", "each"), ("another", "one")))
 _JOINING: Final = frozenset("with behind beside alongside near against past toward towards".split())
 """Prepositions of a person who takes part; one may wave "to somebody" alone."""
+_NO_PERSONS: Final = lexicon.EVENT_NOUNS | lexicon.MANNER_NOUNS | lexicon.BODY_NOUNS
 _DETERMINERS: Final = frozenset("a an the his her their my another some this that".split())
 _LIKENESS: Final = frozenset("like as way manner".split())
 """Words before a person who is only compared with ("like old people")."""
@@ -260,6 +262,24 @@ class _Finder:
             else:
                 continue
             yield _Span(max(first, 0), index, "people")
+        yield from self._several_actors()
+
+    def _several_actors(self) -> Iterator[_Span]:
+        """Find nouns in the plural that no list has, of who moves: "two | boxers", "the | guards"."""
+        found = set()
+        for action in self._graph.actions:
+            subject = subject_of(self._graph, action)
+            own = [
+                index
+                for index, word in enumerate(self._words)
+                if subject is not None and subject.start <= word.start and word.end <= subject.end
+            ]
+            word = self._words[own[-1]].text if own else ""
+            is_plural = word.endswith("s") and not word.endswith(("ss", "us", "'s"))
+            is_person = word not in lexicon.BODY_PLURALS | PERSON_PLURALS | PERSONS and word[:-1] not in _NO_PERSONS
+            if is_plural and is_person and own[-1] not in found:
+                found.add(own[-1])
+                yield _Span(max(own[0], own[-1] - 1), own[-1], "people")
 
     def _joined_from(self, index: int) -> int | None:
         """Return where a second person begins who is joined to the first ("a | woman and a man", "walks | with a man").

@@ -51,8 +51,8 @@ _PRONOUNS: Final = frozenset(
 _PREPOSITIONS: Final = frozenset("of to in on at with by for from as like than".split())
 _DISCOURSE: Final = frozenset(
     "and or but then while before after until when if so because also too just only even still again first second third"
-    " last next finally later afterwards afterward meanwhile now immediately please kindly maybe very really quite"
-    " rather pretty almost about roughly nearly exactly approximately same time times such".split()
+    " last next finally eventually later afterwards afterward meanwhile now immediately please kindly maybe very really"
+    " quite rather pretty almost about roughly nearly exactly approximately same time times such".split()
 )
 _REQUESTS: Final = frozenset(
     "make makes made let let's want wants need needs show give create generate animate animation clip motion movement"
@@ -74,7 +74,9 @@ STOPS: Final = frozenset("stop stops stopping stopped avoid avoids avoiding".spl
 _IRREGULAR: Final = {
     "ran": "run", "went": "go", "gone": "go", "going": "go", "goes": "go", "held": "hold", "brought": "bring",
     "took": "take", "taken": "take", "said": "say", "gave": "give", "given": "give", "bent": "bend", "swung": "swing",
-    "led": "lead", "threw": "throw", "thrown": "throw", "shown": "show", "feet": "foot", "knelt": "kneel",
+    "led": "lead", "caught": "catch", "got": "get", "kept": "keep", "came": "come", "crept": "creep", "slid": "slide",
+    "drew": "draw", "shook": "shake", "swam": "swim", "strode": "stride", "leapt": "leap", "threw": "throw",
+    "thrown": "throw", "shown": "show", "feet": "foot", "knelt": "kneel",
     "sat": "sit", "stood": "stand", "fell": "fall", "fallen": "fall", "rose": "rise", "risen": "rise", "leant": "lean",
     "spun": "spin", "faster": "fast", "fastest": "fast", "slower": "slow", "quicker": "quick", "higher": "high",
     "older": "old", "younger": "young", "happier": "happy", "angrier": "angry", "sadder": "sad", "prouder": "proud",
