@@ -334,8 +334,6 @@ class SamplingPlan:
                 scaled[first_negated:],
             )
         )
-        if spec.lambdas[1]:
-            _check_sum(concepts)  # weighted edges change the sum
         first_terms = accumulate((len(part) for part in terms), initial=0)
         length_from = tuple(
             index for index, concept in zip(first_terms, spec.concepts, strict=False) if concept.weight > 0
@@ -344,7 +342,10 @@ class SamplingPlan:
         # The terms of weighted edges follow their graph.
         partial = tuple(is_part for is_part, part in zip(spec.partial, terms, strict=True) for _ in part)
         weights = CompositionWeights(concepts, joint, negated, spec.lambdas, spec.agd)
-        return SamplingPlan(all_graphs, weights, length_from, partial)
+        plan = SamplingPlan(all_graphs, weights, length_from, partial)
+        if spec.lambdas[1]:
+            _check_sum(concepts)  # weighted edges change the sum
+        return plan
 
 
 def weighted_edge_terms(graph: SemanticGraph) -> list[tuple[SemanticGraph, float]]:

@@ -491,6 +491,7 @@ class MotionPipeline:
                 needs: gradients of its decoders, or skeleton space.
         """
         deadline = check_call(timeout, on_step, strict=strict)
+        method = validate_sequence_method(method)
         if memory is not None:
             from kinegraph.part_memory import check_memory
 
@@ -502,7 +503,7 @@ class MotionPipeline:
                 )
         on_step = deadline.watch(on_step)
         lengths = validate_lengths(texts, seconds, MAX_PARTS, "a sequence")
-        if validate_sequence_method(method) == "continue":
+        if method == "continue":
             from kinegraph.constrained_denoising import require_gradients
 
             require_gradients(self.sampler)

@@ -50,6 +50,7 @@ from kinegraph.options import (
 from kinegraph.part_memory import PartMemory, check_memory
 from kinegraph.pipeline import MotionPipeline, check_call
 from kinegraph.placements import misses_of
+from kinegraph.text.parser import check_caption
 
 PATH_STEP: Final = 0.2
 """Seconds between two points of a part's piece of a path."""
@@ -95,12 +96,16 @@ def generate_timeline(
     deadline = check_call(timeout, on_step, strict=strict)
     constraints, weight = as_constraints(constraints), check_total_weight(constraint_weight)
     lengths = validate_lengths(texts, seconds, MAX_PARTS, "a timeline")
+    for text in texts:
+        if not isinstance(text, SemanticGraph):
+            check_caption(text)
     manifest, fps = pipeline.manifest, pipeline.manifest.fps
     if any(length is None for length in lengths):
         raise InvalidInputError("a timeline needs the seconds of each part")
     if any(isinstance(constraint, Loop) for constraint in constraints):
         raise InvalidInputError("a loop is for one sentence; for a timeline take `Clip.looped`")
-    first = resolve_options(manifest, seconds=lengths[0], seed=seed).seed
+    options: dict[str, Any] = {"steps": steps, "guidance": guidance, "foot_fix": foot_fix}
+    first = resolve_options(manifest, seconds=lengths[0], seed=seed, **options).seed
     seeds = sentence_seeds(first, len(texts), seed_offsets)
     overlap = max(1, round(POSE_SECONDS * fps))
     asked = [frame_count(manifest, length) for length in lengths]
@@ -114,7 +119,7 @@ def generate_timeline(
     ends = [float(end) for end in np.cumsum(frames) / fps]
     _check_times(constraints, ends[-1])
     layers = check_layers(layers, ends)
-    shared = {"steps": steps, "guidance": guidance, "foot_fix": foot_fix, "strict": strict}
+    shared = {**options, "strict": strict}
     pulling = _weighed(constraints, weight)
     memory = PartMemory() if memory is None else check_memory(memory)
     memory.begin()

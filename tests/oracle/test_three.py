@@ -17,7 +17,7 @@ import pytest
 from kinegraph.clip import Clip
 from kinegraph.motion.skeleton import JOINT_INDEX
 from support.characters import BUILDS, LIMBS, SIDES, hierarchy, make_character
-from support.motions import recorded, walk
+from support.motions import walk, with_recorded
 from support.readers import GlbReader
 
 SCRIPT = Path(__file__).with_name("three_points.mjs")
@@ -69,7 +69,7 @@ def test_a_vrm_animation_moves_a_vrm_character_as_ours(
 
     (tmp_path / "hero.vrm").write_bytes(make_character(build, with_meta))
     worst: dict[str, float] = {}
-    for joints in [walk(30), *(joints[:60] for joints in recorded(count=3))]:
+    for joints in (clip[:60] for clip in with_recorded([walk(30)], 3)):
         clip = Clip(joints=joints, fps=20.0, seed=1, text="a person walks", bundle="none")
         clip.save(tmp_path / "clip.vrma", force=True)
         report = three(tmp_path / "hero.vrm", tmp_path / "clip.vrma")

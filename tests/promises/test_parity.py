@@ -35,8 +35,9 @@ def test_the_recorded_parity_is_within_bounds(toy_bundle: Path, bundle: str) -> 
     parity = manifest.parity
     assert parity["pipeline_mm"] <= MOST_PIPELINE_MM[manifest.precision]
     assert parity["batch_mm"] <= MOST_BATCH_MM[manifest.precision]
-    measured = [name for name in manifest.contracts if name in parity]
-    assert measured, "no graph was compared with its module"
+    # that of the text encoder is compared in tests/export/test_text_encoder.py
+    measured = set(manifest.contracts) - {"text_encoder"}
+    assert parity.get("frames_mm", 0.0) <= MOST_PIPELINE_MM["fp32"]
     for name in measured:
         assert parity[name] <= MOST, name
         assert parity.get(f"int8_{name}", 0.0) <= MOST_INT8, name

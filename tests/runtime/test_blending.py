@@ -26,7 +26,7 @@ from kinegraph.motion.blending import (
 )
 from kinegraph.motion.postprocess import find_contacts
 from kinegraph.motion.skeleton import JOINT_INDEX, bone_lengths, facing_angle
-from support.motions import recorded, walk
+from support.motions import recorded, walk, with_recorded
 
 FPS = 20.0
 TOES = (JOINT_INDEX["left_foot"], JOINT_INDEX["right_foot"])
@@ -37,7 +37,7 @@ def clip(joints: np.ndarray, fps: float = FPS) -> Clip:
 
 
 def motions() -> list[np.ndarray]:
-    return [walk(60), walk(60, turning=0.03), *recorded(count=20)]
+    return with_recorded([walk(60), walk(60, turning=0.03)], 20)
 
 
 def turned(points: np.ndarray, angle: float) -> np.ndarray:

@@ -13,7 +13,7 @@ from kinegraph.clip import Clip
 from kinegraph.formats import encode
 from kinegraph.formats.bvh import euler_zxy
 from kinegraph.motion.skeleton import CONVENTIONS, JOINT_NAMES, PARENTS, facing_angle
-from support.motions import recorded, t_pose, turn, walk
+from support.motions import recorded, t_pose, turn, walk, with_recorded
 from support.readers import bvh_joints
 
 UPPER = [None if parent < 0 else JOINT_NAMES[parent] for parent in PARENTS]
@@ -174,7 +174,7 @@ def read_bvh_names(data: bytes) -> list[str]:
 
 
 def test_a_reader_of_bvh_finds_the_joints_of_the_clip(tmp_path: Path) -> None:
-    for joints in [walk(50, turning=0.05), *recorded(count=3)]:
+    for joints in with_recorded([walk(50, turning=0.05)], 3):
         (tmp_path / "clip.bvh").write_bytes(encode(clip(joints), ".bvh", "smpl"))
         seen, fps = bvh_joints(tmp_path / "clip.bvh")
         assert fps == pytest.approx(20.0)

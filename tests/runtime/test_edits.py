@@ -209,7 +209,6 @@ def test_the_picture_shows_every_node_edge_and_weight() -> None:
     assert svg == graph_svg(graph)
 
 
-@pytest.mark.usefixtures("toy_by_default")
 def test_edits_keep_what_is_negated() -> None:
     walks, waves = GRAPH.actions
     graph = dataclasses.replace(GRAPH, actions=(walks, dataclasses.replace(waves, negated=True)))
@@ -235,6 +234,7 @@ def test_the_picture_dashes_a_negated_action() -> None:
     assert "stroke-dasharray" not in graph_svg(GRAPH)
 
 
+@pytest.mark.usefixtures("toy_by_default")
 def test_edits_on_the_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     edits = ["--weight", "to the left=2", "--drop", "slowly", "--replace", "walks=runs", "--mask", "1"]
     assert cli.main(["parse", "a person walks slowly to the left", *edits]) == 0

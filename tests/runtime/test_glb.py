@@ -20,7 +20,7 @@ from kinegraph.formats.glb_mesh import body_mesh
 from kinegraph.motion.kinematics import rest_offsets
 from kinegraph.motion.skeleton import CONVENTIONS, JOINT_INDEX, JOINTS, PARENTS, facing_angle
 from support.cli_runs import fails, not_loaded
-from support.motions import recorded, walk
+from support.motions import walk, with_recorded
 from support.readers import GlbReader
 
 
@@ -29,7 +29,7 @@ def clip(joints: np.ndarray, text: str = "a person walks") -> Clip:
 
 
 def motions() -> list[np.ndarray]:
-    return [walk(50, turning=0.05), *recorded(count=3)]
+    return with_recorded([walk(50, turning=0.05)], 3)
 
 
 def test_a_reader_of_glb_finds_the_joints_of_the_clip(tmp_path: Path) -> None:

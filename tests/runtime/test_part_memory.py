@@ -46,8 +46,7 @@ def test_a_sequence_makes_only_what_changed_and_equals_one_that_makes_all(
 
 
 def test_where_parts_continue_those_behind_a_change_are_made_again(toy: MotionPipeline) -> None:
-    if not toy.sampler.sessions.decoder_gradients:
-        pytest.skip("the toy bundle has no gradients")
+    assert toy.sampler.sessions.decoder_gradients
     memory, options = PartMemory(), {**FEW, "method": "continue"}
     toy.sequence(TEXTS, **options, memory=memory)
     changed = [TEXTS[0], "a person kneels", *TEXTS[2:]]
@@ -95,8 +94,7 @@ def test_the_memory_is_bounded_in_number_and_bytes(toy: MotionPipeline) -> None:
 
 
 def test_what_is_remembered_asks_for_no_constraint(toy: MotionPipeline, monkeypatch: pytest.MonkeyPatch) -> None:
-    if not toy.sampler.sessions.decoder_gradients:
-        pytest.skip("the toy bundle has no gradients")
+    assert toy.sampler.sessions.decoder_gradients
     memory, options = PartMemory(), {"seconds": 1, "steps": 2, "seed": 4, "method": "continue"}
     made = toy.sequence(TEXTS[:2], **options, memory=memory)
     monkeypatch.setattr(clip_editing, "begin_in", lambda *_: pytest.fail("a part that is kept was prepared"))

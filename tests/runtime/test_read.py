@@ -21,7 +21,7 @@ from kinegraph.formats import READERS, WRITERS, encode, read
 from kinegraph.motion.kinematics import forward_kinematics, rotations_from_positions
 from kinegraph.motion.skeleton import CONVENTIONS
 from support.cli_runs import whole
-from support.motions import recorded, t_pose, walk
+from support.motions import t_pose, walk, with_recorded
 
 TEXT = "ein Mensch geht – 歩く"
 
@@ -44,7 +44,7 @@ def distance(first: np.ndarray, second: np.ndarray) -> float:
 @pytest.mark.parametrize("root", [False, True])
 @pytest.mark.parametrize("names", CONVENTIONS)
 def test_a_skeleton_comes_back_as_the_file_shows_it(tmp_path: Path, suffix: str, root: bool, names: str) -> None:
-    for joints in [walk(50, turning=0.05), t_pose(1), *recorded(count=2)]:
+    for joints in with_recorded([walk(50, turning=0.05), t_pose(1)], 2):
         saved = clip(joints)
         path = tmp_path / f"Walk 1{suffix}"
         saved.save(path, names=names, root=root, force=True)

@@ -13,7 +13,7 @@ from kinegraph.errors import InvalidInputError
 from kinegraph.motion.blending import canonical_poses
 from kinegraph.motion.skeleton import bone_lengths, facing_angle
 from support.cli_runs import fails
-from support.motions import largest_twist, recorded, walk
+from support.motions import largest_twist, walk, with_recorded
 
 
 def clip(joints: np.ndarray) -> Clip:
@@ -21,7 +21,7 @@ def clip(joints: np.ndarray) -> Clip:
 
 
 def motions() -> list[np.ndarray]:
-    return [walk(60, turning=0.03), *recorded(count=4)]
+    return with_recorded([walk(60, turning=0.03)], 4)
 
 
 @pytest.mark.parametrize("fps", [24, 30, 60, 20, 10])
@@ -54,7 +54,7 @@ def test_a_turn_is_made_on_its_arc() -> None:
 
 @pytest.mark.parametrize("fps", [30.0, 60.0, 120.0])
 def test_limbs_twist_no_faster_at_other_frame_rates(fps: float) -> None:
-    for joints in [walk(60, turning=0.03), *recorded(count=30)]:
+    for joints in with_recorded([walk(60, turning=0.03)], 30):
         before = largest_twist(joints) * 20
         assert largest_twist(clip(joints).resampled(fps).joints, fps) * fps < 1.3 * before + 60
 

@@ -95,8 +95,7 @@ def test_long_sentences_behind_another_are_shortened_and_told(constrained: Motio
 
 @pytest.fixture
 def constrained(toy: MotionPipeline) -> MotionPipeline:
-    if not toy.sampler.sessions.decoder_gradients:
-        pytest.skip("the toy bundle has no gradients")
+    assert toy.sampler.sessions.decoder_gradients
     return toy
 
 

@@ -8,14 +8,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from kinegraph import Concept, MotionPipeline
+from kinegraph import Concept, MotionPipeline, decoding
 from kinegraph.bundle.reader import text_files_folder
 from kinegraph.constraints import Waypoint
 from kinegraph.decoding import tell_turn, turn_as_said
 from kinegraph.edits import with_weight
 from kinegraph.motion.skeleton import bone_lengths, facing_angle
 from kinegraph.motion.turning import bend, has_heading, hold_back_turn, net_turn, scale_turn, smooth_with_ends, turn_by
-from kinegraph.options import resolve_options
+from kinegraph.options import GenerateOptions, resolve_options
 from kinegraph.request import turn_of
 from kinegraph.text.quantities import find_degrees
 from kinegraph.text.turns import FULL, HALF, QUARTER, SLIGHT, UNSAID, Turn, read_turn
@@ -264,7 +264,15 @@ FIVE = "a person turns by 5 degrees"
 HOW: dict[str, Any] = {"seconds": 2, "seed": 0}
 
 
-def test_clips_turn_as_far_however_they_are_made(toy: MotionPipeline) -> None:
+def test_clips_turn_as_far_however_they_are_made(toy: MotionPipeline, monkeypatch: pytest.MonkeyPatch) -> None:
+    asked: list[Turn | None] = []
+    held = decoding.turn_as_said
+
+    def recording(joints: np.ndarray, fps: float, options: GenerateOptions) -> np.ndarray:
+        asked.append(options.turn)
+        return held(joints, fps, options)
+
+    monkeypatch.setattr(decoding, "turn_as_said", recording)
     clips = [
         toy.generate(FIVE, **HOW),
         *toy.takes(FIVE, 2, **HOW),
@@ -272,6 +280,7 @@ def test_clips_turn_as_far_however_they_are_made(toy: MotionPipeline) -> None:
         toy.compose([FIVE], **HOW),
         toy.compose([FIVE, "a person walks"], **HOW),
     ]
+    assert asked == [Turn(5, 0, True)] * 4 + [None] + [Turn(5, 0, True)] * 2  # the second of the batch has no turn
     for clip in clips:
         told = [note for note in clip.notes if "degrees are asked for" in note]
         assert told or abs(net_turn(clip.joints)) == pytest.approx(5, abs=0.1)

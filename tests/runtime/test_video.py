@@ -62,7 +62,7 @@ def test_the_body_stands_on_the_floor_in_the_middle() -> None:
 
 def test_equal_clips_give_equal_gifs_and_odd_ones_are_drawn() -> None:
     assert encode(clip(walk(8)), ".gif") == encode(clip(walk(8)), ".gif") != encode(clip(walk(8, speed=0.0)), ".gif")
-    assert encode(clip(walk(1) + 1000.0), ".gif")[:6] == b"GIF89a" or encode(clip(walk(1)), ".gif")[:3] == b"GIF"
+    assert encode(clip(walk(1) + 1000.0), ".gif")[:3] == b"GIF"
 
 
 def test_without_pillow_gif_names_the_extra(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:

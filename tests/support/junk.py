@@ -24,6 +24,23 @@ class Unfriendly:
     __hash__ = object.__hash__
 
 
+class OneShot:
+    """An iterator over one value that is fresh again once it is exhausted, for there is one in the whole process."""
+
+    def __init__(self) -> None:
+        self._left = 1
+
+    def __iter__(self) -> OneShot:
+        return self
+
+    def __next__(self) -> int:
+        self._left -= 1
+        if self._left < 0:
+            self._left = 1
+            raise StopIteration
+        return 1
+
+
 def nested(depth: int) -> list[Any]:
     """Nest lists deeper than `repr` can follow."""
     value: list[Any] = []
@@ -38,7 +55,7 @@ JUNK: tuple[Any, ...] = (
     *(Fraction(HUGE, 3), Fraction(1, 3), Decimal("NaN"), 1j, np.float32("nan"), np.int64(3), np.bool_(False)),
     *(np.array([1, 2, 3]), np.array([]), np.array("text"), np.array([None]), np.zeros((2, 22, 3))),
     *("", " ", "x" * 100_000, "\ud800", "a\0b", "…", "NaN", b"", b"\xff\xfe", bytearray(b"a"), memoryview(b"a")),
-    *([], (), {}, set(), [None], [[]], {"a": 1}, {None: None}, {"motion": HUGE}, nested(5000), range(10**9), iter([1])),
+    *([], (), {}, set(), [None], [[]], {"a": 1}, {None: None}, {"motion": HUGE}, nested(5000), range(10**9), OneShot()),
     *(object(), object, len, lambda *_: None, Unfriendly(), [Unfriendly()], NotImplemented, ...),
 )
 """One of each kind."""

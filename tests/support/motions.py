@@ -5,6 +5,7 @@ from __future__ import annotations
 from itertools import pairwise
 
 import numpy as np
+import pytest
 
 from kinegraph.motion.kinematics import CHILDREN, rotations_from_positions
 from kinegraph.motion.quaternions import multiply, normalised, shortest_rotation
@@ -160,6 +161,14 @@ def largest_twist(joints: np.ndarray, fps: float = 20.0) -> float:
             cosine = np.abs((turns[1:, joint] * swung).sum(-1))
             largest = max(largest, float(np.degrees(2 * np.arccos(cosine.clip(0, 1))).max()))
     return largest
+
+
+def with_recorded(made: list[np.ndarray], count: int) -> list[np.ndarray]:
+    """Add about `count` recorded clips to made ones, where there are any."""
+    try:
+        return [*made, *recorded(count=count)]
+    except pytest.skip.Exception:
+        return made
 
 
 def recorded(source: str = "bandai", count: int | None = None, split: str = "val") -> list[np.ndarray]:

@@ -133,6 +133,25 @@ PUBLIC: dict[str, Callable[[MotionPipeline, Any], object]] = {
     "batch, seconds": lambda pipe, junk: pipe.batch([GRAPH], **{**FEW, "seconds": junk}),
     "sequence": lambda pipe, junk: pipe.sequence(junk, **FEW),
     "sequence, memory": lambda pipe, junk: pipe.sequence([GRAPH, GRAPH], memory=junk, **FEW),
+    "sequence, method": lambda pipe, junk: pipe.sequence([GRAPH, GRAPH], method=junk, **FEW),
+    **{
+        f"sequence, {key}": lambda pipe, junk, key=key: pipe.sequence([GRAPH, GRAPH], **{**FEW, key: junk})
+        for key in ("seconds", "seed", "seed_offsets", "strict", "timeout")
+    },
+    "takes, shared_run": lambda pipe, junk: pipe.takes(GRAPH, 2, shared_run=junk, **FEW),
+    "batch, takes": lambda pipe, junk: pipe.batch([GRAPH], takes=junk, **FEW),
+    "masked": lambda _, junk: edits.masked(GRAPH, junk),
+    "generate_timeline": lambda pipe, junk: generate_timeline(pipe, junk, **FEW),
+    **{
+        f"generate_timeline, {key}": lambda pipe, junk, key=key: generate_timeline(
+            pipe, [GRAPH, GRAPH], **{**FEW, key: junk}
+        )
+        for key in (
+            *("seconds", "constraints", "constraint_weight", "seed", "seed_offsets", "steps", "guidance", "foot_fix"),
+            *("strict", "timeout", "memory"),
+        )
+    },
+    "generate_timeline, constraint": lambda pipe, junk: generate_timeline(pipe, [GRAPH], constraints=[junk], **FEW),
     "timeline, layers": lambda pipe, junk: generate_timeline(pipe, [GRAPH], layers=junk, **FEW),
     "timeline, layer": lambda pipe, junk: generate_timeline(pipe, [GRAPH], layers=[junk], **FEW),
     "intervals": lambda pipe, junk: pipe.timeline(junk, steps=1),
@@ -148,7 +167,7 @@ PUBLIC: dict[str, Callable[[MotionPipeline, Any], object]] = {
     "compose, item": lambda pipe, junk: pipe.compose([junk], **FEW),
     **{
         f"compose, {key}": lambda pipe, junk, key=key: pipe.compose([GRAPH, GRAPH], **{**FEW, key: junk})
-        for key in ("method", "text", "lambdas", "agd")
+        for key in ("method", "text", "lambdas", "agd", "seconds", "seed", "space", "constraints", "constraint_weight")
     },
     "generate, constraints": lambda pipe, junk: pipe.generate(GRAPH, constraints=junk, **FEW),
     "generate, constraint": lambda pipe, junk: pipe.generate(GRAPH, constraints=[junk], **FEW),
@@ -165,6 +184,8 @@ PUBLIC: dict[str, Callable[[MotionPipeline, Any], object]] = {
         )
         for key in ("keep", "strength", "space", "constraint_weight", "constraint_fix")
     },
+    "edit, text": lambda pipe, junk: pipe.edit(LONG_CLIP, junk, keep="legs", steps=1),
+    "inbetween, text": lambda pipe, junk: pipe.inbetween(CLIP, CLIP, 1, junk, steps=1),
     "edit, kept item": lambda pipe, junk: pipe.edit(LONG_CLIP, GRAPH, keep=[junk], steps=1),
     "edit in skeleton space": lambda pipe, junk: pipe.edit(LONG_CLIP, GRAPH, keep=junk, space="frames", steps=1),
     "edit, span": lambda pipe, junk: pipe.edit(LONG_CLIP, GRAPH, keep=[(0, junk)], steps=1),
