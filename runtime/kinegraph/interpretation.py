@@ -24,6 +24,7 @@ from typing import Final
 from kinegraph.errors import InvalidGraphError
 from kinegraph.graph import Action, Argument, SemanticGraph
 from kinegraph.text import lexicon
+from kinegraph.text.caption_tokens import is_request
 from kinegraph.text.narration import SUBJECT, name_subject, subject_items, subject_of, verb_items
 from kinegraph.text.pieces import CONNECTIVES, NEGATING, Item, Pieces, unique, write
 from kinegraph.text.quantities import Quantity
@@ -320,6 +321,24 @@ _CURLY: Final = frozenset(lexicon.STRAIGHT)
 _STRAIGHTENED: Final = str.maketrans(dict(lexicon.STRAIGHT))
 
 
+def without_request(graph: SemanticGraph) -> SemanticGraph:
+    """Leave out words before all nodes that only ask for a motion: "make a clip of | a person walking".
+
+    Raises:
+        InvalidGraphError: see `pieces.write`.
+    """
+    starts = [node.start for action in graph.actions for node in action.arguments]
+    first = min([*(action.start for action in graph.actions), *starts])
+    if not first:
+        return graph
+    pieces = Pieces(graph)
+    count = len(pieces.within(0, first))
+    words = [f"{pieces.word(index)} " for index in range(len(pieces.pieces))]
+    if not count or not is_request("".join(words[:count]), "".join(words[count:])):
+        return graph
+    return write(pieces, graph.actions, pieces.items(range(count, len(pieces.pieces))))
+
+
 def known_subject(graph: SemanticGraph, is_shown: Callable[[str], bool]) -> SemanticGraph:
     """Call who moves a person where the caption has a pronoun for them, or a noun that training never had.
 
@@ -342,7 +361,7 @@ def known_subject(graph: SemanticGraph, is_shown: Callable[[str], bool]) -> Sema
     own = [index for index in pieces.of(first) if pieces.pieces[index].is_word]
     words = [pieces.word(index) for index in own]
     replaced: dict[int, str] = {}
-    if words in (["he"], ["she"]):
+    if words in (["he"], ["she"], ["it"]):
         replaced = {own[0]: SUBJECT}
     elif len(words) > 1 and words[0] in _ARTICLES:
         for head in _heads(words):

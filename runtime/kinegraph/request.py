@@ -27,6 +27,7 @@ from kinegraph.interpretation import (
     split_sequence,
     with_straight_quotes,
     without_quantity,
+    without_request,
 )
 from kinegraph.options import GenerateOptions
 from kinegraph.text.lexicon import WORDINGS
@@ -67,6 +68,14 @@ MANY_AT_ONCE: Final = (
     "body"
 )
 """Note for compositions of so many, and for sentences of both hands that are not made of each action alone."""
+_ASKING: Final = re.compile(
+    r"\b(?:video|clip|animat\w+|movie|gif|scene|sequence|mocap|recording|footage|motion|see|watch|show|want|need|imagine"
+    r"|picture|generate|create|render|produce|simulate|visuali[sz]e|depict)\b",
+    re.IGNORECASE,
+)
+"""Words of wishes for a motion: a quick look, too."""
+_THEN: Final = re.compile(r"\b(?:then|next|afterwards|finally)\b", re.IGNORECASE)
+"""Words behind which a verb may be meant that is said before ("turn left, then right"): a quick look, too."""
 _DISTANCE: Final = re.compile(
     r"\b(?:\d+(?:[.,]\d+)? ?(?:m|ft|feet|foot|km)"
     r"|(?:\d+(?:[.,]\d+)?|an?|one|two|three|four|five|six|seven|eight|nine|ten)"
@@ -291,7 +300,11 @@ def _as_trained(graph: SemanticGraph, vocabulary: Vocabulary | None) -> Semantic
 
     A graph that has no room left for the words stays as it is.
     """
-    graph = with_straight_quotes(graph)
+    if not graph.caption.isascii():
+        graph = with_straight_quotes(graph)
+    with suppress(InvalidGraphError):
+        if _ASKING.search(graph.caption):
+            graph = without_request(graph)
     with suppress(InvalidGraphError):
         if _TOLD.match(graph.caption) is None:
             graph = in_third_person(graph)
@@ -324,7 +337,7 @@ def split_in_order(graph: SemanticGraph) -> list[SemanticGraph]:
     Returns:
         The parts, or the graph alone if it is to be sampled at once.
     """
-    return split_sequence(graph)
+    return [graph] if len(graph.actions) < 2 and _THEN.search(graph.caption) is None else split_sequence(graph)
 
 
 def share_frames(total: int, own: Sequence[GenerateOptions], manifest: Manifest) -> list[GenerateOptions]:

@@ -224,6 +224,12 @@ def test_lengths_at_once_and_in_order(toy: MotionPipeline, manifest: Manifest, s
         ("walk ➡ wave ➜ bow", "a person walks, then waves, then bows"),
         ("turn left, then right", "a person turns left, then turns right"),
         ("Kate walks forward", "Kate walks forward"),
+        ("make a 5 second clip of a person walking", "a person walking"),
+        ("a realistic animation of a man jumping", "a man jumping"),
+        ("an animation with a man jumping", "a man jumping"),
+        ("can I see a man walking", "a man walking"),
+        ("a slow motion of the arms", "a slow motion of the arms"),
+        ("it waves", "a person waves"),
     ],
 )
 def test_what_people_type_is_told_as_captions_are(
@@ -268,6 +274,14 @@ def test_a_curly_apostrophe_negates_as_a_straight_one_does(toy: MotionPipeline, 
             ["a person kicks with the right leg", "a person kicks with the left leg"],
         ),
         ("a person walks and eventually falls", ["a person walks", "a person falls"]),
+        (
+            "raise your right hand, then lower it",
+            ["a person raises the right hand", "a person lowers the right hand"],
+        ),
+        (
+            "a person lifts both arms and then lowers them slowly",
+            ["a person lifts both arms", "a person lowers both arms slowly"],
+        ),
         ("a person walks slowly", ["a person walks slowly"]),
     ],
 )

@@ -238,25 +238,39 @@ _QUESTION: Final = re.compile(
     r"(?:please |kindly |just |maybe )*|let 's |lets |let us "
 )
 _WISH: Final = re.compile(
-    r"i (?:really )?(?:(?:'d|would) (?:like|love)|want|need|wanna|wish)(?: (?:to )?(?:see|have|watch|get))?"
+    r"(?:i|we) (?:really )?(?:(?:'d|would) (?:like|love)|want|need|wanna|wish)(?: (?:to )?(?:see|have|watch|get))?"
     r"(?P<reader> you(?: to)?)? "
 )
 _MAKER: Final = (
     r"(?:make|create|generate|animate|render|produce|draw|show|give|get|simulate|visuali[sz]e|display|depict)"
 )
 _MEDIA: Final = (
-    r"(?:(?:a|an|the|some|one) )?(?:(?:short|quick|simple|new|looping|3d) )*"
-    r"(?:video|clip|animation|movie|gif|scene|sequence|mocap|recording|motion clip|motion capture|motion)"
-    r"(?: clip)? (?:of|showing|where|in which|that shows|:) "
+    r"(?:(?:a|an|the|some|one) )?(?:(?:[a-z]+|\d+(?:\.\d+)? ?(?:s|sec|second)?) (?:- )?){0,4}?"
+    r"(?:video|clip|animation|movie|gif|scene|sequence|mocap|recording|footage|motion clip|motion capture|motion)"
+    r"(?: (?:clip|loop|cycle|file))? (?:of|with|showing|where|in which|that shows|:) "
 )
 _PERSON: Final = rf"(?:(?:a|an|the|some|two) (?:[a-z]+ ){{0,2}}?(?:{'|'.join(sorted(lexicon.SUBJECT_NOUNS))}) )"
 _SHOWN: Final = r"(?:an?|the|some|how|who|what|someone|somebody|him|her|it|them|two|people) "
 _SHOW: Final = re.compile(
     rf"(?:{_MAKER} (?:(?:me|us) )?)?{_MEDIA}|{_MAKER} (?:me|us) (?={_SHOWN})"
-    rf"|(?:show|depict|imagine|picture) (?={_PERSON}|someone |somebody )"
+    rf"|(?:show|depict|imagine|picture|see|watch) (?={_PERSON}|someone |somebody )"
     r"|(?:animate|generate|create|render|produce|simulate|visuali[sz]e) (?=(?:an?|the|some|two|someone|somebody) )"
 )
 _TELL: Final = re.compile("(?:make|let|have|get|help|imagine|picture) ")
+
+
+def is_request(leading: str, rest: str) -> bool:
+    """Tell whether the words that lead a caption only ask for a motion ("make a clip of | a person walking").
+
+    Both are in lower case, with one blank behind each word.
+    """
+    words = leading + rest
+    greeting = _GREETING.match(words)
+    end = greeting.end() if greeting else 0
+    for pattern in (_QUESTION, _WISH, _SHOW):
+        match = pattern.match(words, end)
+        end = match.end() if match is not None else end
+    return end == len(leading)
 
 
 def drop_requests(tokens: list[CaptionToken]) -> list[CaptionToken]:
@@ -341,8 +355,8 @@ _WORDS: Final = "|".join(
 UNUSUAL: Final = re.compile(
     rf"[^A-Za-z ,.']|^ |  |\b(?:{_WORDS}|anticlockwise|counterclockwise|contraclockwise)\b|\b(?:[a-z]|[ivx]{{2,4}})\."
     rf"|\b(?:{'|'.join(_STEP_NOUNS)}) (?:{'|'.join(_NUMBER_WORDS)}|[a-j]|[ivx]{{2,4}})\b"
-    r"|\b(?:video|clip|animation|movie|gif|scene|sequence|mocap|recording|motion)\b"
-    r"|^(?:hi|hey|hello|ok|okay|now|so|well|just|can|could|would|will|should|how|let|lets|i|make|create|generate|animate"
+    r"|\b(?:video|clip|animation|movie|gif|scene|sequence|mocap|recording|footage|motion)\b"
+    r"|^(?:hi|hey|hello|ok|okay|now|so|well|just|can|could|would|will|should|how|let|lets|i|we|see|watch|make|create|generate|animate"
     r"|render|produce|draw|show|give|get|simulate|visuali[sz]e|display|depict|imagine|picture|have|help)\b",
     re.IGNORECASE,
 )

@@ -246,10 +246,13 @@ def _part(pieces: Pieces, group: Sequence[Action], groups: Sequence[Sequence[Act
     items, shown = _leading_subject(pieces, actions, foreign)
     rest = _trim([index for index in kept if index not in shown], pieces)
     told = _verbs_to_tell(pieces, actions)
+    meant = _antecedents(pieces, group)
     readers = {index for action in actions for index in _reader_words(pieces, action)}
     for index in rest:
         text = pieces.pieces[index].text
-        if index in told:
+        if index in meant:
+            text = meant[index]
+        elif index in told:
             text = third_person(text)
         elif index in readers:
             text = "they"
@@ -263,6 +266,26 @@ def _part(pieces: Pieces, group: Sequence[Action], groups: Sequence[Sequence[Act
         items.append(Item(text, index))
     part = write(pieces, actions, items)
     return name_subject(part) if items[:1] == [Item(SUBJECT)] else part
+
+
+def _antecedents(pieces: Pieces, group: Sequence[Action]) -> dict[int, str]:
+    """Find what "it" and "them" mean in a part that does not say it: "raise the hand, then lower | it"."""
+    meant: dict[int, str] = {}
+    for action in group:
+        for argument in action.arguments:
+            own = pieces.of(argument)
+            if argument.role != "ARG1" or len(own) != 1 or pieces.word(own[0]) not in ("it", "them"):
+                continue
+            objects = [
+                node
+                for other in pieces.graph.actions
+                for node in other.arguments
+                if node.role == "ARG1" and other.end <= node.start < argument.start and other not in group
+            ]
+            if objects:
+                words = pieces.of(max(objects, key=lambda node: node.start))
+                meant[own[0]] = " ".join(OWNERS.get(pieces.word(index), pieces.pieces[index].text) for index in words)
+    return meant
 
 
 _PERSONS_OF_BE: Final = {

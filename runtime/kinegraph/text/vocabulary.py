@@ -34,6 +34,7 @@ from kinegraph.text.words import (
     PERSON_PLURALS,
     PERSONS,
     PLACES,
+    REQUESTS,
     STOPS,
     Word,
     base_forms,
@@ -292,7 +293,7 @@ class _Finder:
             if before == "and" and first > 1 and self._words[first - 2].text in _PERSON_NOUNS:
                 return first - 2
             if before in _JOINING:
-                return first - 1
+                return None if first > 1 and self._words[first - 2].text in REQUESTS else first - 1
             if before not in _DETERMINERS and first < index:
                 return None
             first -= 1

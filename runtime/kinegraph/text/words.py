@@ -54,14 +54,14 @@ _DISCOURSE: Final = frozenset(
     " last next finally eventually later afterwards afterward meanwhile now immediately please kindly maybe very really"
     " quite rather pretty almost about roughly nearly exactly approximately same time times such".split()
 )
-_REQUESTS: Final = frozenset(
-    "make makes made let let's want wants need needs show give create generate animate animation clip motion movement"
-    " video someone's start starts starting begin begins beginning continue continues continuing keep keeps keeping"
-    " seconds second minute minutes sec secs s".split()
+REQUESTS: Final = frozenset(
+    "make makes made let let's want wants need needs show see give create generate animate animation clip motion"
+    " movement video someone's start starts starting begin begins beginning continue continues continuing keep keeps"
+    " keeping seconds second minute minutes sec secs s".split()
 )
 FUNCTION: Final = (
     _ARTICLES | _POSSESSIVES | _QUANTIFIERS | _NUMBERS | _AUXILIARIES | _NEGATIONS | _PRONOUNS | _PREPOSITIONS
-    | _DISCOURSE | _REQUESTS | PERSONS | lexicon.ROTATIONS
+    | _DISCOURSE | REQUESTS | PERSONS | lexicon.ROTATIONS
 )  # fmt: skip
 """Words that every bundle takes: they name no motion by themselves, or the parser gives them their meaning."""
 
