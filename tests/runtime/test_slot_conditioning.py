@@ -95,6 +95,20 @@ def test_further_nodes_are_dropped_with_their_edges() -> None:
     assert graph.types[ROLE_INDEX["OTHERS"], 5 + 4, 5 + 4] == 1.0
 
 
+@pytest.mark.parametrize("is_released", [False, True])
+def test_halves_without_and_with_text_and_what_the_released_evaluation_takes_away(is_released: bool) -> None:
+    graph = slot_graph(NodeTokens([[1]], [[2]], [(0, 0, "ARG1")]), states(4, 1), states(77, 2))
+    role = ROLE_INDEX["ARG1"]
+    found = attention_inputs([graph, graph], is_released=is_released)
+    expected = [graph.null_nodes, graph.null_nodes, graph.nodes, graph.nodes]
+    np.testing.assert_array_equal(found["nodes"], expected)
+    np.testing.assert_array_equal(found["adjacency"], [graph.types.any(axis=0)] * 4)
+    for half, has_type in ((0, 1.0), (2, 0.0 if is_released else 1.0)):
+        assert found["relations"][half, role, 1, 5] == found["relations"][half, role, 5, 1] == has_type
+    others = np.delete(found["relations"], role, axis=1)
+    np.testing.assert_array_equal(others[:2], others[2:])
+
+
 def test_a_node_without_tokens_is_the_sentence_and_has_no_loop() -> None:
     conditional, null = states(8, 1), states(77, 2)
     graph = slot_graph(NodeTokens([[]], [[2], []], [(0, 0, "ARG0"), (0, 1, "ARG1")]), conditional, null)

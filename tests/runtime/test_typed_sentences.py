@@ -275,6 +275,17 @@ def test_development_sentences_are_parsed_as_a_reader_does(parser: GraphParser, 
     report = json.loads(subprocess.run(scorer, capture_output=True, check=True, text=True).stdout)["all"]
     assert report["action"]["f1"] >= 0.98
     assert report["labeled_exact"]["f1"] >= 0.97
+
+
+def test_development_sentences_keep_their_actions_and_negations(parser: GraphParser) -> None:
+    rows = [json.loads(line) for line in DEV.read_text(encoding="utf-8").splitlines()]
+    graphs = [parser.parse(row["caption"]) for row in rows]
+    pairs = [
+        ({(a["start"], a["end"]) for a in row["actions"]}, {(a.start, a.end) for a in graph.actions})
+        for row, graph in zip(rows, graphs, strict=True)
+    ]
+    hits = sum(len(gold & ours) for gold, ours in pairs)
+    assert 2 * hits / sum(len(gold) + len(ours) for gold, ours in pairs) >= 0.98
     for row, graph in zip(rows, graphs, strict=True):
         negated = {(action["start"], action["end"]) for action in row["actions"] if action.get("negated")}
         assert {(action.start, action.end) for action in graph.actions if action.negated} == negated, row["caption"]
