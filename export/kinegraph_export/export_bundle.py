@@ -2,7 +2,8 @@
 
     python -m kinegraph_export.export_bundle --run runs/edge --assets assets --card card.json --out bundle
 
-Every graph is compared with its torch module, and the whole pipeline with torch; the differences are in the manifest.
+Every graph but the text encoder, which is an asset, is compared with its torch module, and the whole pipeline behind it
+with torch; the differences are in the manifest.
 """
 
 from __future__ import annotations

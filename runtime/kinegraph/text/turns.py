@@ -81,7 +81,7 @@ _SLIGHT: Final = re.compile(r"\b(?:slight\w*|a little|a bit|small)\b", re.IGNORE
 _ROUND: Final = r"(?:turn|circle|rotation|revolution|round|spin|way)\b"
 _AROUND: Final = re.compile(
     r"\ba?round\b(?! (?:the|an?|his|her|their|its|this|that|one) )"
-    r"|(?<=turn )back\b|(?<=turns )back\b|(?<=turned )back\b|(?<=turning )back\b|\bto (?:face|go) back\b",
+    r"|\bturn(?:s|ed|ing)? back\b|\bto (?:face|go) back\b",
     re.IGNORECASE,
 )
 _MORE_THAN_ONE: Final = re.compile(
