@@ -257,7 +257,7 @@ def _records(rows: Sequence[BatchRow], folder: Path, options: BatchOptions, work
         maker = ClipMaker(folder, options)
         yield from map(maker.make, rows)
         return
-    # spawn: sessions of onnxruntime do not survive a fork
+    # spawn: a fork of a process with threads may hang, and Windows has none
     context = multiprocessing.get_context("spawn")
     with ProcessPoolExecutor(workers, context, _start, (folder, options)) as pool:
         waiting = iter(rows)

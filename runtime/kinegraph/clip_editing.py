@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
@@ -12,7 +12,7 @@ from kinegraph.arrays import FloatArray
 from kinegraph.bundle.sessions import run_model
 from kinegraph.clip import Clip
 from kinegraph.constrained_denoising import EncodedClip, Wanted
-from kinegraph.constraints import POSE_SECONDS, Constraint, EndPose, Keyframe, StartPose
+from kinegraph.constraints import Constraint, EndPose, Keyframe, StartPose, pose_frames
 from kinegraph.denoising import LatentSampler
 from kinegraph.errors import InvalidInputError
 from kinegraph.frame_denoising import FrameSampler
@@ -126,14 +126,14 @@ def begin_in(frames: FloatArray, sampler: LatentSampler) -> Wanted:
 
 
 def stream_frames(
-    pipe: MotionPipeline, texts: Iterable[Any], seed: int, seconds: float | None, options: dict[str, Any]
+    pipe: MotionPipeline, texts: Iterable[Any], *, seconds: float | None, seed: int, options: Mapping[str, Any]
 ) -> Iterator[FloatArray]:
     """Yield the frames (22, 3) of one part after another, each from the last pose of the one before.
 
     Only the part that is shown is held. See `MotionPipeline.stream`.
     """
     fps = pipe.manifest.fps
-    overlap = max(1, round(POSE_SECONDS * fps))
+    overlap = pose_frames(fps)
     shown: FloatArray | None = None  # the last frames, in the world
     for number, text in enumerate(texts):
         if shown is None:

@@ -34,7 +34,7 @@ from kinegraph.diffusion.composition import CompositionWeights
 from kinegraph.diffusion.constraint_energy import Term, constraint_terms, seam_terms, total_energy
 from kinegraph.diffusion.descent import Evaluation, Limits, descend
 from kinegraph.diffusion.sampling import DdimCoefficients, OnStep, PredictNoise, StepInfo, is_stop
-from kinegraph.errors import Cancelled, InvalidInputError
+from kinegraph.errors import Cancelled, InvalidInputError, MissedConstraintError
 from kinegraph.feasibility import check_constraints
 from kinegraph.keeping import Kept
 from kinegraph.motion.energies import TOES, Energy, floor_energy, stance_energy
@@ -206,7 +206,7 @@ def sample_constrained(
 
     Raises:
         Cancelled, NonFiniteError: as in `denoising.sample_hierarchy`.
-        InvalidInputError: with `strict`, a constraint was missed by more than `MISSED`.
+        MissedConstraintError: with `strict`, a constraint was missed by more than `MISSED`.
     """
     if wanted.acts:
         joints = _sample_joints(sampler, decoder, conditions, weights, options, wanted, on_step, on_latent)
@@ -220,7 +220,7 @@ def told_clip(joints: FloatArray, wanted: Wanted, options: GenerateOptions, capt
     """Make the clip of joints (frames, 22, 3) that tells how far it is from what was wanted.
 
     Raises:
-        InvalidInputError: with `strict`, a constraint was missed by more than `MISSED`.
+        MissedConstraintError: with `strict`, a constraint was missed by more than `MISSED`.
     """
     misses = wanted.misses(joints, manifest.fps)
     weights_of = [constraint.weight for constraint in wanted.constraints] + [1.0] * (wanted.kept is not None)
@@ -230,7 +230,7 @@ def told_clip(joints: FloatArray, wanted: Wanted, options: GenerateOptions, capt
         if miss.metres > MISSED and weight * wanted.weight > 0
     )
     if missed and wanted.strict:
-        raise InvalidInputError(f"{missed[0]}; change it, or leave out strict to come as near as it goes")
+        raise MissedConstraintError(f"{missed[0]}; change it, or leave out strict to come as near as it goes")
     bundle = f"{manifest.name} {manifest.version}"
     notes = (*wanted.notes, *missed, *tell_turn(joints, options))
     return Clip(joints, manifest.fps, options.seed, caption, bundle, notes=notes, misses=misses)

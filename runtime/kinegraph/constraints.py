@@ -466,12 +466,29 @@ def _set(constraint: object, **fields: object) -> None:
         object.__setattr__(constraint, name, value)
 
 
+def pose_frames(fps: float) -> int:
+    """Return the frames of a clip that make its start or end pose."""
+    return max(1, round(POSE_SECONDS * fps))
+
+
+def latest_moment(constraint: Constraint) -> float:
+    """Return the last second that a constraint names; 0 for those that name none."""
+    match constraint:
+        case Waypoint() | Keyframe():
+            return constraint.seconds
+        case JointTarget():
+            return constraint.interval[1]
+        case Path() if constraint.times is not None:
+            return float(constraint.times[-1])
+    return 0.0
+
+
 def _set_pose(pose: StartPose | EndPose, what: str, *, ending: bool) -> None:
     """Check the fields of a start or end pose; of a clip, keep the frames that count."""
     joints: object = pose.joints
     if hasattr(joints, "fps"):
         joints, fps = _motion(joints, what)
-        count = min(len(joints), max(1, round(POSE_SECONDS * fps)))
+        count = min(len(joints), pose_frames(fps))
         joints = joints[-count:] if ending else joints[:count]
         _set(pose, fps=fps)
     shape = f"(frames, {JOINTS}, 3), or it is a clip"

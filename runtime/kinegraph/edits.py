@@ -28,7 +28,7 @@ from kinegraph.graph import Action, Argument, SemanticGraph
 from kinegraph.validation import short_repr
 
 MASK: Final = "[MASK]"
-"""Word piece of the text encoder for an unknown word (`manifest.text.mask_token`)."""
+"""Word piece of the text encoder for an unknown word."""
 
 Node = int | str
 """Number or text of a node."""

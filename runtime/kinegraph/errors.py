@@ -16,11 +16,15 @@ class KinegraphError(Exception):
 
 
 class InvalidInputError(KinegraphError, ValueError):
-    """A text, graph or option is outside what the model accepts; no model has run."""
+    """A text, graph or option is outside what the model accepts; but for `MissedConstraintError`, no model has run."""
 
 
 class InvalidGraphError(InvalidInputError):
     """A semantic graph breaks the format, or an edit names a node or edge that does not exist."""
+
+
+class MissedConstraintError(InvalidInputError):
+    """A clip was made that missed a constraint by 5 cm or more, and the caller asked for `strict`."""
 
 
 class UnknownWordsError(InvalidInputError):

@@ -27,6 +27,7 @@ from kinegraph.constraints import (
     StartPose,
     Waypoint,
     describe,
+    latest_moment,
 )
 from kinegraph.errors import InvalidInputError
 from kinegraph.limits import MAX_CONSTRAINTS, MAX_KEYFRAMES
@@ -123,13 +124,7 @@ def _check_times(index: int, constraint: Constraint, frames: int, fps: float) ->
                 f"constraints[{index}], {describe(constraint)}: it lasts {length:g} s, the clip {frames / fps:g} s"
             )
         return
-    last = 0.0
-    if isinstance(constraint, Waypoint | Keyframe):
-        last = constraint.seconds
-    elif isinstance(constraint, JointTarget):
-        last = constraint.interval[1]
-    elif isinstance(constraint, Path) and constraint.times is not None:
-        last = float(constraint.times[-1])
+    last = latest_moment(constraint)
     if last > frames / fps + 1e-6:
         raise InvalidInputError(
             f"constraints[{index}], {describe(constraint)}: {last:g} s is after the end of the clip, which has "

@@ -35,8 +35,8 @@ from kinegraph.frame_denoising import FrameSampler, part_of
 from kinegraph.frame_inpainting import HeldFrames, HeldPrediction, Hold, read_held
 from kinegraph.intervals import Interval
 from kinegraph.keeping import PARTS
-from kinegraph.motion.features import CONTACTS, HEIGHT, LAYOUT, POSITIONS, VELOCITIES, WIDTH
-from kinegraph.motion.skeleton import FEET, PELVIS
+from kinegraph.motion.features import LAYOUT
+from kinegraph.motion.known_features import columns_of_poses, columns_of_steps
 from kinegraph.options import GenerateOptions
 from kinegraph.validation import finite_number, short_repr
 
@@ -196,16 +196,7 @@ def features_of_parts(parts: Sequence[str], manifest: Manifest) -> FloatArray:
             f"parts of the body need features of the layout joints-137, not {manifest.features.layout}"
         )
     joints = {joint for part in parts for joint in PARTS[part]}
-    row = np.zeros(WIDTH, dtype=np.float32)
-    if PELVIS in joints:
-        row[: HEIGHT.stop] = 1.0
-    for joint in joints:
-        if joint != PELVIS:
-            row[POSITIONS.start + 3 * (joint - 1) : POSITIONS.start + 3 * joint] = 1.0
-        row[VELOCITIES.start + 3 * joint : VELOCITIES.start + 3 * (joint + 1)] = 1.0
-    for index, foot in enumerate(FEET):
-        if foot in joints:
-            row[CONTACTS.start + index] = 1.0
+    row = (columns_of_poses(joints) | columns_of_steps(joints)).astype(np.float32)
     return np.tile(row, per_token)
 
 

@@ -323,6 +323,7 @@ class MotionPipeline:
 
         Raises:
             InvalidInputError: text or an option is outside what the model takes; nothing has been run.
+            MissedConstraintError: a constraint was missed by 5 cm, and `strict` is set.
             UnknownWordsError: a word is unknown, and `strict` is set; nothing has been sampled.
             Cancelled: `on_step` returned False, or as `TimedOut`, the timeout is over.
             NonFiniteError: a model produced NaN or infinity.
@@ -764,8 +765,17 @@ class MotionPipeline:
         text: str | SemanticGraph,
         *,
         placed: bool = False,
+        seed: int | None = None,
+        steps: Steps | None = None,
+        guidance: Guidance | None = None,
+        space: str = LATENT,
+        foot_fix: bool = True,
         constraints: Sequence[Constraint] | None = None,
-        **options: Any,
+        constraint_weight: float = 1.0,
+        constraint_fix: bool = True,
+        strict: bool = False,
+        timeout: float | None = None,
+        on_step: OnStep | None = None,
     ) -> Clip:
         """Make the motion between two poses: `generate` with a `StartPose` and an `EndPose`.
 
@@ -778,7 +788,8 @@ class MotionPipeline:
             text: what happens.
             placed: let the end be where it is relative to the start; False is anywhere on the floor.
             constraints: further ones.
-            options: of `generate`.
+            seed, steps, guidance, space, foot_fix, constraint_weight, constraint_fix, strict, timeout, on_step: as in
+                `generate`.
 
         Raises:
             InvalidInputError, Cancelled, NonFiniteError: as in `generate`.
@@ -789,7 +800,21 @@ class MotionPipeline:
         ends = between(start, end, seconds, self.manifest.fps, placed=check_flag(placed, "placed"))
         if not isinstance(constraints, list | tuple | None):
             raise InvalidInputError(f"constraints is a list or None, not {short_repr(constraints)}")
-        return self.generate(text, seconds=seconds, constraints=[*ends, *(constraints or ())], **options)
+        return self.generate(
+            text,
+            seconds=seconds,
+            seed=seed,
+            steps=steps,
+            guidance=guidance,
+            space=space,
+            foot_fix=foot_fix,
+            constraints=[*ends, *(constraints or ())],
+            constraint_weight=constraint_weight,
+            constraint_fix=constraint_fix,
+            strict=strict,
+            timeout=timeout,
+            on_step=on_step,
+        )
 
     def stream(
         self,
@@ -797,7 +822,13 @@ class MotionPipeline:
         *,
         seconds: float | None = None,
         seed: int | None = None,
-        **options: Any,
+        steps: Steps | None = None,
+        guidance: Guidance | None = None,
+        space: str = LATENT,
+        foot_fix: bool = True,
+        strict: bool = False,
+        timeout: float | None = None,
+        on_step: OnStep | None = None,
     ) -> Iterator[FloatArray]:
         """Yield frame after frame of one sentence after another, each from the last pose of the one before.
 
@@ -809,7 +840,8 @@ class MotionPipeline:
                 lets each sentence decide; parts behind the first are then 0.2 s shorter, for they begin in what is
                 shown.
             seed: part k is generated with seed + k; None draws one.
-            options: further ones of `generate`, but for constraints.
+            steps, guidance, space, foot_fix, strict, on_step: as in `generate`.
+            timeout: seconds that each part may take.
 
         Yields:
             Joints (22, 3) metres of each frame, in one world; `manifest.fps` of them a second.
@@ -826,7 +858,16 @@ class MotionPipeline:
         if parts is None:
             raise InvalidInputError("a stream takes sentences one after another, such as a list")
         first = resolve_options(self.manifest, seconds=seconds, seed=seed).seed
-        return stream_frames(self, parts, first, seconds, options)
+        options: dict[str, Any] = {
+            "steps": steps,
+            "guidance": guidance,
+            "space": space,
+            "foot_fix": foot_fix,
+            "strict": strict,
+            "timeout": timeout,
+            "on_step": on_step,
+        }
+        return stream_frames(self, parts, seconds=seconds, seed=first, options=options)
 
     def encode_composition(
         self, spec: CompositionSpec, options: GenerateOptions, *, own_length: bool
@@ -1037,10 +1078,10 @@ class MotionPipeline:
         of_sentence: Sequence[int] = (),
     ) -> Clip:
         """Sample parts, each with its seed and from the last frames of the one before; see `_make_parts`."""
-        from kinegraph.constraints import POSE_SECONDS
+        from kinegraph.constraints import pose_frames
         from kinegraph.motion.body_frame import append_part
 
-        overlap = max(1, round(POSE_SECONDS * self.manifest.fps))
+        overlap = pose_frames(self.manifest.fps)
         clips: list[Clip] = []
         joints: FloatArray | None = None
         for index, (part, seed) in enumerate(parts):

@@ -68,12 +68,6 @@ MANY_AT_ONCE: Final = (
     "body"
 )
 """Note for compositions of so many, and for sentences of both hands that are not made of each action alone."""
-_ASKING: Final = re.compile(
-    r"\b(?:video|clip|animat\w+|movie|gif|scene|sequence|mocap|recording|footage|motion|see|watch|show|want|need|imagine"
-    r"|picture|generate|create|render|produce|simulate|visuali[sz]e|depict)\b",
-    re.IGNORECASE,
-)
-"""Words of wishes for a motion: a quick look, too."""
 _THEN: Final = re.compile(r"\b(?:then|next|afterwards|finally)\b", re.IGNORECASE)
 """Words behind which a verb may be meant that is said before ("turn left, then right"): a quick look, too."""
 _DISTANCE: Final = re.compile(
@@ -303,7 +297,7 @@ def _as_trained(graph: SemanticGraph, vocabulary: Vocabulary | None) -> Semantic
     if not graph.caption.isascii():
         graph = with_straight_quotes(graph)
     with suppress(InvalidGraphError):
-        if _ASKING.search(graph.caption):
+        if not _starts_with_node(graph):
             graph = without_request(graph)
     with suppress(InvalidGraphError):
         if _TOLD.match(graph.caption) is None:
@@ -315,6 +309,12 @@ def _as_trained(graph: SemanticGraph, vocabulary: Vocabulary | None) -> Semantic
         if _KNOWN_SUBJECT.match(graph.caption) is None:
             graph = known_subject(graph, lambda word: vocabulary is None or is_shown(word, vocabulary))
     return graph
+
+
+def _starts_with_node(graph: SemanticGraph) -> bool:
+    """Tell whether a caption begins with an action or its argument, as most do: a quick look, too."""
+    starts = [node.start for action in graph.actions for node in action.arguments]
+    return 0 in (*starts, *(action.start for action in graph.actions))
 
 
 def _without(graph: SemanticGraph, quantity: Quantity) -> SemanticGraph:

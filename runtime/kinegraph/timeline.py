@@ -20,7 +20,6 @@ from kinegraph.clip import Clip
 from kinegraph.concepts import Concept
 from kinegraph.constraint_values import check_total_weight
 from kinegraph.constraints import (
-    POSE_SECONDS,
     Constraint,
     EndPose,
     JointTarget,
@@ -29,6 +28,8 @@ from kinegraph.constraints import (
     Path,
     StartPose,
     Waypoint,
+    latest_moment,
+    pose_frames,
 )
 from kinegraph.diffusion.sampling import OnStep, subrange_progress
 from kinegraph.errors import InvalidInputError
@@ -107,7 +108,7 @@ def generate_timeline(
     options: dict[str, Any] = {"steps": steps, "guidance": guidance, "foot_fix": foot_fix}
     first = resolve_options(manifest, seconds=lengths[0], seed=seed, **options).seed
     seeds = sentence_seeds(first, len(texts), seed_offsets)
-    overlap = max(1, round(POSE_SECONDS * fps))
+    overlap = pose_frames(fps)
     asked = [frame_count(manifest, length) for length in lengths]
     # a part begins in the last frames of the one before, and is made with them
     frames = [min(count, manifest.frames.max - overlap * bool(index)) for index, count in enumerate(asked)]
@@ -197,13 +198,7 @@ def _weighed(constraints: Sequence[Constraint], weight: float) -> tuple[Constrai
 def _check_times(constraints: Sequence[Constraint], whole: float) -> None:
     """Refuse times behind the end of the whole, which no part would see."""
     for index, constraint in enumerate(constraints):
-        latest = 0.0
-        if isinstance(constraint, Waypoint | Keyframe):
-            latest = constraint.seconds
-        elif isinstance(constraint, JointTarget):
-            latest = constraint.interval[1]
-        elif isinstance(constraint, Path) and constraint.times is not None:
-            latest = float(constraint.times[-1])
+        latest = latest_moment(constraint)
         if latest > whole + 1e-6:
             raise InvalidInputError(f"constraints[{index}]: {latest:g} s is behind the end, at {whole:g} s")
 

@@ -228,6 +228,8 @@ def test_lengths_at_once_and_in_order(toy: MotionPipeline, manifest: Manifest, s
         ("a realistic animation of a man jumping", "a man jumping"),
         ("an animation with a man jumping", "a man jumping"),
         ("can I see a man walking", "a man walking"),
+        ("give me a man walking", "a man walking"),
+        ("i would like a person who jumps", "a person who jumps"),
         ("a slow motion of the arms", "a slow motion of the arms"),
         ("it waves", "a person waves"),
     ],

@@ -23,7 +23,6 @@ from kinegraph.validation import short_repr
 SIDES: Final = ("left", "right")
 LIMB_JOINTS: Final = ("hip", "knee", "ankle", "shoulder", "elbow", "wrist")
 """Joints of ours that a human must have on both sides."""
-OPTIONAL_JOINTS: Final = ("foot", "collar")
 _SPINE: Final = ("spine1", "spine2", "spine3")
 
 CONVENTIONS: Final[dict[str, dict[str, tuple[str, ...]]]] = {

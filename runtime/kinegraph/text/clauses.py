@@ -47,7 +47,6 @@ _DETERMINERS: Final = frozenset("a an the this that my your his her our their it
 _PHRASE_WORDS: Final = frozenset("both all two three each every no some left right other of the his her their".split())
 _RELATIVE: Final = frozenset("who which that".split())
 _OPENERS: Final = frozenset("and or but then nor neither who which that he she it they also".split())
-_PLURAL_ACTORS: Final = frozenset("we they people you both everyone".split()) | frozenset("men women".split())
 _OBJECT_PRONOUNS: Final = frozenset("it them him her me us both".split())
 _PREPOSITIONS: Final = (
     lexicon.DIRECTION_PREPOSITIONS
