@@ -89,10 +89,10 @@ def fetch(settings, seed, suffix, path, points):
 
 def run(settings, words):
     """Run the command kinegraph, and return what it prints."""
+    # a path of Windows has signs that shlex takes for escapes
+    command = [settings.command] if Path(settings.command).is_file() else shlex.split(settings.command)
     try:
-        done = subprocess.run(
-            [*shlex.split(settings.command), *words], capture_output=True, text=True, timeout=TIMEOUT, check=False
-        )
+        done = subprocess.run([*command, *words], capture_output=True, text=True, timeout=TIMEOUT, check=False)
     except (OSError, subprocess.TimeoutExpired) as error:
         raise Failed(f"no server at {settings.url}, and the command does not run: {error}") from error
     if done.returncode:

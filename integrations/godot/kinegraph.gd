@@ -14,6 +14,7 @@ signal failed(message: String)
 @export var character := ""  # a file of the server's --characters folder
 
 var _request := HTTPRequest.new()
+var _shown: Node3D
 
 
 func _ready() -> void:
@@ -44,6 +45,9 @@ func _on_answer(_result: int, status: int, _headers: PackedStringArray, body: Pa
 		failed.emit("the answer is no GLB")
 		return
 	var scene := document.generate_scene(state)
+	if _shown:
+		_shown.queue_free()
+	_shown = scene
 	add_child(scene)
 	scene.rotate_y(PI)  # Godot's forward is -Z
 	var player: AnimationPlayer = scene.find_children("*", "AnimationPlayer", true, false)[0]

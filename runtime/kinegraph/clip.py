@@ -51,7 +51,7 @@ class Clip:
     """Semantic graph it was generated from, edits included; None where there was none, or more than one."""
 
     loops: bool = False
-    """True for a loop, whose last frame equals the first but for travel; files do not store it."""
+    """True for a loop, whose last frame equals the first but for travel; `.bvh` does not store it."""
 
     unknown: tuple[Unknown, ...] = ()
     """Words of the text that the bundle was never shown; a bundle without `vocabulary.npz` finds none."""
@@ -69,6 +69,7 @@ class Clip:
         if not whole or not 0 <= self.seed < 2**63:
             raise InvalidInputError(f"seed is {short_repr(self.seed)}; it must be a whole number from 0 to 2**63 - 1")
         _validate_strings(text=self.text, bundle=self.bundle)
+        check_flag(self.loops, "loops")
         if not isinstance(self.graph, SemanticGraph | None):
             raise InvalidInputError(f"graph is of type {type(self.graph).__name__}; it must be a SemanticGraph or None")
         if not isinstance(self.unknown, tuple) or not all(isinstance(words, Unknown) for words in self.unknown):

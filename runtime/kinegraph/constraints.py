@@ -508,7 +508,9 @@ def _motion(clip: object, what: str) -> tuple[FloatArray, float]:
     """
     joints, fps = getattr(clip, "joints", None), getattr(clip, "fps", None)
     if joints is None or fps is None:
-        raise InvalidInputError(f"{what} is taken from a Clip, not from {short_repr(clip)}; read a file with Clip.load")
+        raise InvalidInputError(
+            f"{what} is taken from a Clip, not from {short_repr(clip)}; read a file with kinegraph.formats.read"
+        )
     check_fps(fps)
     return check_pose(joints, f"the clip of {what}", (-1, JOINTS, 3), f"(frames, {JOINTS}, 3)"), float(fps)
 

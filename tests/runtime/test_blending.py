@@ -182,7 +182,7 @@ def test_nothing_jumps_or_slides_where_a_round_ends() -> None:
         frames = len(shown) // 3
         usual = np.quantile(peak_accelerations(joints, FPS), 0.95)
         assert peak_accelerations(shown, FPS)[frames - 14 : frames + 4].max() <= 2.5 * max(usual, 10.0)
-        assert fastest_standing_toe(shown) < max(0.1, 1.2 * fastest_standing_toe(joints))
+        assert fastest_standing_toe(shown) < max(0.1, 1.5 * fastest_standing_toe(joints))
 
 
 def test_a_loop_in_place_ends_where_it_began_and_faces_the_same_way() -> None:
@@ -245,3 +245,15 @@ def test_any_clip_can_loop_and_stays_finite(frames: int, turning: float) -> None
 def test_too_short_a_clip_cannot_loop() -> None:
     with pytest.raises(InvalidInputError, match="8 frames, this clip has 7"):
         clip(walk(7)).looped()
+
+
+def test_a_loop_goes_on_at_the_speed_that_it_had() -> None:
+    round_ = 36  # frames of a cycle of this walk
+    joints = walk(4 * round_ + 1, cadence=2 * np.pi / round_)
+    loop = clip(joints).looped(foot_fix=False).joints
+    local = loop - loop[:, :1]
+    speed = np.linalg.norm(np.diff(local, axis=0), axis=-1).mean(axis=-1)
+    was = np.linalg.norm(np.diff(joints - joints[:, :1], axis=0), axis=-1).mean(axis=-1)
+    assert speed[-6:].min() > 0.8 * was.min() and speed.max() < 1.2 * was.max()
+    seam = np.concatenate([speed[-3:], speed[:3]])
+    assert np.abs(np.diff(seam)).max() < 1.5 * np.abs(np.diff(was)).max()

@@ -134,3 +134,15 @@ def test_the_command_line_takes_a_skeleton(
     assert "is saved as .bvh" in fails(capsys, *words, "-o", str(tmp_path / "out.glb"))
     with pytest.raises(InvalidInputError, match="root motion needs a joint above"):
         clip(walk(10)).onto(his, root=True).save(tmp_path / "root.bvh")
+
+
+def test_offsets_that_are_no_pose_are_refused(tmp_path: Path) -> None:
+    lines = bvh(Build(names=MIXAMO)).splitlines()
+    # every bone along +X of its parent, as motion matching data has it
+    lines = [
+        f"OFFSET {np.linalg.norm([float(value) for value in line.split()[1:]]):.6f} 0 0" if "OFFSET" in line else line
+        for line in lines
+    ]
+    (tmp_path / "flat.bvh").write_text("\n".join(lines), encoding="utf-8")
+    with pytest.raises(InvalidInputError, match="no standing pose"):
+        Clip(walk(20), 20.0, 1, "a person walks", "toy 1").onto(tmp_path / "flat.bvh")

@@ -37,6 +37,18 @@ def test_npz_holds_what_it_should(tmp_path: Path) -> None:
         assert tuple(pack["joint_names"]) == JOINT_NAMES
 
 
+@pytest.mark.parametrize("suffix", [".npz", ".json", ".glb"])
+def test_a_loop_is_one_when_it_is_read_again(suffix: str, tmp_path: Path) -> None:
+    plain = clip(walk(60))
+    loop = plain.looped()
+    for name, made in (("plain", plain), ("loop", loop)):
+        made.save(tmp_path / f"{name}{suffix}")
+        assert read(tmp_path / f"{name}{suffix}").loops == made.loops
+    assert read(tmp_path / f"loop{suffix}").resampled(30).frames == loop.resampled(30).frames
+    one = Clip(walk(1), 20.0, 1, "a person stands", "toy 1", loops=True)
+    assert one.resampled(30).frames <= 2 and encode(one, suffix)
+
+
 def test_json_holds_the_clip_and_a_skeleton_that_turns_into_it() -> None:
     joints, text = walk(30, turning=0.05), "ein Mensch geht – 歩く"
     document = json.loads(encode(clip(joints, fps=29.97, text=text), ".json"))

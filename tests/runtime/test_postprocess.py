@@ -242,3 +242,15 @@ def test_a_leg_without_length_stays_a_point() -> None:
 @pytest.mark.parametrize("frames", [1, 2, 3, 5])
 def test_the_shortest_clips_pass(frames: int) -> None:
     assert lock_feet(walk(frames), FPS).shape == (frames, 22, 3)
+
+
+@pytest.mark.parametrize("forward", [0.003, 0.01, 0.05])
+@pytest.mark.parametrize("shift", [(0.0, 0.05), (0.0, -0.05), (0.05, 0.0), (-0.05, 0.0)])
+def test_a_nearly_straight_knee_bends_the_way_it_did(forward: float, shift: tuple[float, float]) -> None:
+    hip, ankle = np.array([[0.0, 0.85, 0.0]]), np.array([[0.0, 0.05, 0.0]])
+    knee = np.array([[0.0, 0.45, forward]])
+    sideways, ahead = shift
+    new_knee, new_ankle = two_bone_ik(hip, knee, ankle, ankle + np.array([[sideways, 0.03, ahead]]))
+    middle = (hip + new_ankle) / 2
+    assert (new_knee - middle)[0, 2] > 0.0  # forward still
+    assert abs((new_knee - middle)[0, 0]) < 0.01  # and not to a side

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from kinegraph.arrays import Floats
 from kinegraph.errors import InvalidInputError
 from kinegraph.files import check_target, write_atomically
 from kinegraph.formats.bind_pose import in_bind_pose
@@ -189,9 +190,26 @@ def decode_character(
     return Character(name, rig, humanoid, floor, document, binary, shape)
 
 
+def _check_standing(positions: Floats, humanoid: Humanoid) -> None:
+    """Refuse offsets (nodes, 3) that are no pose, as where every bone lies along one axis of its parent.
+
+    Raises:
+        InvalidInputError: head and feet are on one side of the hips.
+    """
+    hips, ankles = (
+        np.mean([positions[humanoid.bones[f"{side}_{name}"]] for side in SIDES], axis=0) for name in ("hip", "ankle")
+    )
+    if (positions[humanoid.bones["head"]] - hips) @ (ankles - hips) >= 0:
+        raise InvalidInputError(
+            "its OFFSETs are no standing pose, as head and feet are on one side of the hips; export the skeleton in a "
+            "T-pose"
+        )
+
+
 def _decode_bvh(data: bytes, name: str, names: Mapping[str, str] | None) -> Character:
     skeleton = read_skeleton(data)
     humanoid = find_humanoid(skeleton.rig, names=names)
+    _check_standing(skeleton.rig.positions, humanoid)
     ankles = {humanoid.bones[f"{side}_ankle"] for side in SIDES}
     feet = [node for node in skeleton.rig.joints if ankles & set(skeleton.rig.ancestors(node))]
     floor = float(skeleton.rig.positions[feet, 1].min())

@@ -95,12 +95,21 @@ def embed(document: Document, binary: bytes, folder: Path | None) -> tuple[Docum
             data += b"\0" * (-len(data) % 4)
             views.append({"buffer": 0, "byteOffset": len(data), "byteLength": len(part)})
             data += part
-            kind = "image/png" if part.startswith(b"\x89PNG") else "image/jpeg"
+            kind = image.get("mimeType") or _media_type(part)
             image = {key: value for key, value in image.items() if key != "uri"}
             image |= {"bufferView": len(views) - 1, "mimeType": kind}
         embedded.append(image)
     document = {**document, "buffers": [{"byteLength": len(data)}], "bufferViews": views}
     return (document | {"images": embedded} if images else document), bytes(data)
+
+
+def _media_type(picture: bytes) -> str:
+    """Tell the media type of a picture by its first bytes."""
+    if picture[:4] == b"RIFF" and picture[8:12] == b"WEBP":
+        return "image/webp"
+    if picture[1:7] == b"KTX 20":
+        return "image/ktx2"
+    return "image/png" if picture.startswith(b"\x89PNG") else "image/jpeg"
 
 
 def _fetch(uri: object, folder: Path | None) -> bytes:

@@ -66,8 +66,9 @@ def encode(clip: Clip, names: str = DEFAULT_NAMES, root: bool = False) -> bytes:
 
 
 def provenance(clip: Clip) -> dict[str, Any]:
-    """List what is needed to generate the clip again."""
-    return {"text": clip.text, "seed": str(clip.seed), "bundle": clip.bundle, "fps": clip.fps}
+    """List what is needed to generate the clip again, and whether it is a loop."""
+    made = {"text": clip.text, "seed": str(clip.seed), "bundle": clip.bundle, "fps": clip.fps}
+    return made | {"loops": True} if clip.loops else made
 
 
 def _mesh(buffer: Buffer, rest: NDArray[Any]) -> dict[str, Any]:

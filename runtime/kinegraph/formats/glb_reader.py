@@ -49,7 +49,8 @@ def decode(data: bytes) -> dict[str, Any]:
         if not np.allclose(times, np.arange(len(times)) / fps, rtol=1e-5, atol=1e-4):
             raise InvalidInputError(f"its keys are not at every frame of {fps} per second")
         joints = _joints(offsets, tracks, root)
-        return {"joints": joints, "fps": fps, "seed": seed, "text": extras["text"], "bundle": extras["bundle"]}
+        told = {"text": extras["text"], "bundle": extras["bundle"], "loops": extras.get("loops", False)}
+        return {"joints": joints, "fps": fps, "seed": seed, **told}
     except InvalidInputError:
         raise
     except (KeyError, IndexError, TypeError, ValueError, AttributeError, OverflowError) as error:

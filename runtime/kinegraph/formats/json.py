@@ -49,7 +49,7 @@ def encode(clip: Clip) -> bytes:
         "rest_offsets": _rounded(motion.rest_offsets),
         "joints": _rounded(clip.joints),
         "rotations": _rounded(motion.rotations),
-    }
+    } | ({"loops": True} if clip.loops else {})
     return json.dumps(document, ensure_ascii=False, separators=(",", ":")).encode()
 
 
@@ -71,7 +71,7 @@ def decode(data: bytes) -> dict[str, Any]:
         # files of older versions have none of the three
         unknown, notes, misses = (read_list(document.get(name, []), name) for name in ("unknown", "notes", "misses"))
         fields |= {"unknown": tuple(map(Unknown.from_dict, unknown)), "notes": tuple(notes)}
-        fields["misses"] = read_misses(misses)
+        fields |= {"misses": read_misses(misses), "loops": document.get("loops", False)}
         return {"joints": joints, "seed": parse_seed(document["seed"]), **fields}
     except KeyError as error:
         raise InvalidInputError(f"it has no {error}") from error

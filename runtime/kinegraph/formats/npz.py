@@ -38,8 +38,9 @@ _GRAPH: Final = "graph"
 _UNKNOWN: Final = "unknown"
 _NOTES: Final = "notes"
 _MISSES: Final = "misses"
-_OPTIONAL: Final = (_GRAPH, _UNKNOWN, _NOTES, _MISSES)
-"""JSON texts that a file may lack; those of older versions do."""
+_LOOPS: Final = "loops"
+_OPTIONAL: Final = (_GRAPH, _UNKNOWN, _NOTES, _MISSES, _LOOPS)
+"""JSON texts, and whether it is a loop, that a file may lack; those of older versions do."""
 
 
 def encode(clip: Clip) -> bytes:
@@ -63,6 +64,8 @@ def encode(clip: Clip) -> bytes:
         arrays[_NOTES] = np.array(_to_json(clip.notes))
     if clip.misses:
         arrays[_MISSES] = np.array(_to_json([miss.to_dict() for miss in clip.misses]))
+    if clip.loops:
+        arrays[_LOOPS] = np.array(True)
     buffer = io.BytesIO()
     with zipfile.ZipFile(buffer, "w", zipfile.ZIP_STORED) as archive:
         for name in arrays:

@@ -21,7 +21,7 @@ from kinegraph.arrays import FloatArray, Floats, IntArray
 from kinegraph.errors import InvalidInputError
 from kinegraph.motion.kinematics import forward_kinematics, rotations_from_positions
 from kinegraph.motion.postprocess import enforce_bone_lengths, lock_feet
-from kinegraph.motion.quaternions import about_axis, conjugate, multiply, rotate, slerp
+from kinegraph.motion.quaternions import IDENTITY, about_axis, conjugate, multiply, rotate, slerp
 from kinegraph.motion.skeleton import HORIZONTAL, PELVIS, bone_lengths, canonicalise, facing_angle
 
 VELOCITY_SECONDS: Final = 0.2
@@ -349,9 +349,11 @@ def _remove_drift(joints: FloatArray) -> Floats:
 
 
 def _close_loop(joints: Floats, fps: float) -> Floats:
-    """Blend the end of a round (frames, 22, 3) into its first pose, so that the last frame equals the first.
+    """Lead the end of a round (frames, 22, 3) to its first pose, so that the last frame equals the first.
 
-    The root rotation is blended relative to the heading, so that the body keeps turning as it did.
+    What the last pose lacks to the first is added by and by, to a motion that goes on as it did: towards a pose that
+    stands still, limbs would brake before the seam. Root rotations are those relative to the heading, so that the body
+    keeps turning.
     """
     motion = rotations_from_positions(joints, fps)
     window = max(2, min(len(joints) // 2, round(LOOP_BLEND_SECONDS * fps)))
@@ -360,8 +362,10 @@ def _close_loop(joints: Floats, fps: float) -> Floats:
     heading = about_axis(1, facing_angle(joints.astype(np.float32)).astype(np.float64))
     rotations = motion.rotations.copy()
     rotations[:, 0] = multiply(conjugate(heading), rotations[:, 0])
-    rotations = slerp(rotations, np.broadcast_to(rotations[:1], rotations.shape), share[:, None])
+    lacking = np.broadcast_to(multiply(conjugate(rotations[-1]), rotations[0]), rotations.shape)
+    nothing = np.broadcast_to(np.array(IDENTITY), rotations.shape)
+    rotations = multiply(rotations, slerp(nothing, lacking, share[:, None]))
     rotations[:, 0] = multiply(heading, rotations[:, 0])
     root = motion.root.copy()
-    root[:, 1] += share * (motion.root[0, 1] - root[:, 1])
+    root[:, 1] += share * (motion.root[0, 1] - motion.root[-1, 1])
     return forward_kinematics(motion.rest_offsets, root, rotations)

@@ -384,6 +384,7 @@ def _windowed_mean(
 
     Frames beyond the ends are left out; with `loops` they are those of the rounds before and after.
     """
+    loops = loops and len(values) > 1
     gaussian = np.exp(-0.5 * (np.arange(-radius, radius + 1) / (radius / 2)) ** 2)
     if loops:
         padded = np.pad(values[:-1], [(radius, radius + 1), *[(0, 0)] * (values.ndim - 1)], mode="wrap")

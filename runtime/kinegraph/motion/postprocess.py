@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinegraph.arrays import FloatArray, Floats
-from kinegraph.motion.quaternions import normalised
+from kinegraph.motion.quaternions import normalised, rotate, shortest_rotation
 from kinegraph.motion.skeleton import HORIZONTAL, JOINT_INDEX, JOINTS, PARENTS, PELVIS, bone_lengths
 
 LEGS: Final[tuple[tuple[int, int, int, int], ...]] = tuple(
@@ -225,9 +225,13 @@ def two_bone_ik(hip: Floats, knee: Floats, ankle: Floats, goal: Floats) -> tuple
     # a leg that was straighter before may stay so
     furthest = np.maximum(furthest, np.minimum(np.linalg.norm(ankle - hip, axis=-1), upper + lower))
     distance = np.clip(np.linalg.norm(to_goal, axis=-1), nearest, furthest)
-    along = normalised(to_goal)
-    # direction of the bend: the part of hip -> knee that is perpendicular to hip -> goal
+    along, was = normalised(to_goal), normalised(ankle - hip)
+    # direction of the bend: the part of hip -> knee that is perpendicular to hip -> goal, which moves the knee least.
+    # Of a nearly straight leg that would be wherever the goal moves to: there it is the bend that was, turned with it.
     bend = (knee - hip) - ((knee - hip) * along).sum(-1, keepdims=True) * along
+    bent = (knee - hip) - ((knee - hip) * was).sum(-1, keepdims=True) * was
+    straight = np.clip((0.15 * upper - np.linalg.norm(bent, axis=-1)) / (0.1 * upper + 1e-9), 0.0, 1.0)[:, None]
+    bend = (1.0 - straight) * bend + straight * rotate(shortest_rotation(was, along), bent)
     # foot and height of the triangle with sides upper, lower and distance
     reach = (upper**2 - lower**2 + distance**2) / (2 * np.maximum(distance, 1e-9))  # a leg without length is a point
     height = np.sqrt(np.maximum(upper**2 - reach**2, 0.0))
