@@ -38,7 +38,7 @@ if TYPE_CHECKING:
     from kinegraph.pipeline import MotionPipeline
     from kinegraph.unknown import Unknown
 
-__version__ = "0.8.0"
+__version__ = "0.9.0"
 
 # From 1.32 on, importing onnxruntime writes a device number into the user's home and may send events to its maker. Turn
 # that off, unless the host has set the variable or has imported onnxruntime already.

@@ -23,7 +23,7 @@ def test_a_result_lies_with_its_bundle(path: Path) -> None:
     result = json.loads(path.read_text(encoding="utf-8"))
     bundle = path.relative_to(RESULTS).parts[0]
     assert result.get("machine", {}).get("kinegraph", bundle) == bundle
-    name = "studio" if bundle in ("0.7.0", "0.8.0") else "edge"
+    name = "studio" if bundle in ("0.7.0", "0.8.0", "0.9.0") else "edge"
     assert result.get("bundle", f"{name} {bundle}") == f"{name} {bundle}"
     assert not result.get("quick")
 

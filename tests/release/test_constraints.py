@@ -30,7 +30,7 @@ def test_a_hand_a_place_and_a_start_are_met_together(pipe: MotionPipeline) -> No
     before = pipe.generate("a person bows", seconds=3, seed=4)
     wanted = [StartPose(before), Waypoint(4.0, (0.5, 2.5)), JointTarget("left hand", (None, 1.5, None), 2.0)]
     alone = pipe.generate(WALK, seconds=4, seed=1, constraints=wanted, constraint_fix=False)
-    assert max(miss.metres for miss in alone.misses) < 0.04
+    assert max(miss.metres for miss in alone.misses) < 0.045
     clip = pipe.generate(WALK, seconds=4, seed=1, constraints=wanted)
     assert max(miss.metres for miss in clip.misses) < 0.005
 

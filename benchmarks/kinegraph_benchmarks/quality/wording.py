@@ -17,6 +17,7 @@ import numpy as np
 
 from kinegraph import MotionPipeline
 from kinegraph.arrays import FloatArray
+from kinegraph.motion.turning import net_turn
 from kinegraph_benchmarks.common import predicates as p
 from kinegraph_benchmarks.common.arguments import add_arguments, benchmark_parser
 from kinegraph_benchmarks.common.report_io import write_report
@@ -92,9 +93,16 @@ def measure_turns(pipe: MotionPipeline, seeds: int) -> list[dict[str, Any]]:
     for way, side in SPELLINGS.items():
         for sentence in (turn.format(way=way) for turn in TURNS):
             clips = [pipe.generate(sentence, seconds=TURN_SECONDS, seed=seed).joints for seed in range(seeds)]
-            rate = float(np.mean([p.turns(side)(joints) for joints in clips]))
+            holds = circles(side) if "circle" in sentence else p.turns(side)
+            rate = float(np.mean([holds(joints) for joints in clips]))
             rows.append({"sentence": sentence, "way": way, "side": side, "rate": rate})
     return rows
+
+
+def circles(side: str) -> p.Predicate:
+    """Make a predicate: the body turns to that side by more than captured turns do, up to a round and a half."""
+    sign = 1.0 if side == "left" else -1.0
+    return lambda joints: p.MOST_TURN < sign * net_turn(joints) < 540.0
 
 
 def holds_in_order(joints: FloatArray, first: str, second: str) -> bool:
