@@ -106,9 +106,11 @@ def between(start: Any, end: Any, seconds: float, fps: float, *, placed: bool) -
     begin = StartPose(first)
     if not placed:
         return [begin, EndPose(last)]
-    goal = BodyFrame.of(begin.joints[0]).to_body(EndPose(last).frames(fps)[-1]).astype(np.float32)
+    pose = EndPose(last)
+    frames = pose.joints if pose.fps in (None, fps) else resample(pose.joints, pose.fps, fps)
+    goal = BodyFrame.of(begin.joints[0]).to_body(frames[-1]).astype(np.float32)
     # the step into the end, wherever it is, and its place
-    return [begin, EndPose(last), Keyframe(max(seconds - 1.0 / fps, 0.0), goal)]
+    return [begin, pose, Keyframe(max(seconds - 1.0 / fps, 0.0), goal)]
 
 
 def _as_frames(pose: Any) -> Any:

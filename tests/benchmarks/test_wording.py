@@ -15,6 +15,7 @@ from support.motions import stand, walk
 
 BOW = stand(40, bow=1.2)
 LEFT, RIGHT = walk(80, turning=0.03), walk(80, turning=-0.03)
+ROUND_LEFT, ROUND_RIGHT = walk(200, turning=0.03), walk(200, turning=-0.03)
 WALK = walk(100)
 
 
@@ -28,7 +29,8 @@ class Fake:
         if "bow" in text:
             joints = stitch_clips(WALK[: round(10 * seconds)], BOW)
         else:
-            joints = RIGHT if right else LEFT
+            circle = "circle" in text
+            joints = (ROUND_RIGHT if circle else RIGHT) if right else (ROUND_LEFT if circle else LEFT)
         return type("Clip", (), {"joints": joints, "duration": 9.8 if "dance" in text else seconds})
 
 
