@@ -22,6 +22,10 @@ def parser() -> GraphParser:
     return read_parser(BUNDLE)
 
 
+def test_a_stroke_behind_a_number_is_no_fraction() -> None:
+    assert find_quantities("1/ march in place 2/ salute") == find_quantities("3 / 4 and 5 /") == []
+
+
 @pytest.mark.parametrize(
     ("caption", "number", "unit", "words"),
     [

@@ -316,7 +316,8 @@ def _read_number(words: Sequence[_Word], index: int) -> _Number | None:
         if len(word) > 12 or not word.isascii():
             return None
         value = _in_digits(word)
-        fraction = _in_digits(_text(words, index + 1)) if "/" in _text(words, index + 1) else 0.0
+        following = _text(words, index + 1)
+        fraction = _in_digits(following) if "/" in following and following[0].isdecimal() else 0.0
         if 0 < fraction < 1 and value.is_integer():  # "3 1/2"
             value, last = value + fraction, index + 1
     elif word in _TENS:
