@@ -119,12 +119,9 @@ def check_weight(value: object, what: str) -> float:
     Raises:
         InvalidInputError: not a number from 0 to `MAX_WEIGHT`.
     """
-    weight = finite_number(value)
-    if weight is None or not 0 <= weight <= MAX_WEIGHT:
-        raise InvalidInputError(
-            f"the weight of {what} must be 0 to {MAX_WEIGHT:g}, not {short_repr(value)}; 1 is usual"
-        )
-    return weight
+    return _within_limits(
+        value, f"the weight of {what} must be 0 to {MAX_WEIGHT:g}, not {short_repr(value)}; 1 is usual"
+    )
 
 
 def check_rotations(value: object, what: str, count: int) -> DoubleArray:
@@ -163,9 +160,13 @@ def check_total_weight(weight: object) -> float:
     Raises:
         InvalidInputError: not a number from 0 to `MAX_WEIGHT`.
     """
-    number = finite_number(weight)
+    allowed = f"constraint_weight must be 0 to {MAX_WEIGHT:g}, not {short_repr(weight)}; 1 is usual, 0 is without"
+    return _within_limits(weight, allowed)
+
+
+def _within_limits(value: object, refusal: str) -> float:
+    """Return a number from 0 to `MAX_WEIGHT`; refuse all else with a message."""
+    number = finite_number(value)
     if number is None or not 0 <= number <= MAX_WEIGHT:
-        raise InvalidInputError(
-            f"constraint_weight must be 0 to {MAX_WEIGHT:g}, not {short_repr(weight)}; 1 is usual, 0 is without"
-        )
+        raise InvalidInputError(refusal)
     return number

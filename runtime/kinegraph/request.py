@@ -31,6 +31,7 @@ from kinegraph.interpretation import (
 )
 from kinegraph.options import GenerateOptions
 from kinegraph.text.lexicon import WORDINGS
+from kinegraph.text.narration import THEN
 from kinegraph.text.quantities import Quantity, Unit, read_quantities
 from kinegraph.text.turns import Turn, read_turn
 from kinegraph.text.vocabulary import is_shown
@@ -68,8 +69,8 @@ MANY_AT_ONCE: Final = (
     "body"
 )
 """Note for compositions of so many, and for sentences of both hands that are not made of each action alone."""
-_THEN: Final = re.compile(r"\b(?:then|next|afterwards|finally)\b", re.IGNORECASE)
-"""Words behind which a verb may be meant that is said before ("turn left, then right"): a quick look, too."""
+_THEN: Final = re.compile(rf"\b(?:{'|'.join(sorted(THEN))})\b", re.IGNORECASE)
+"""Words of `narration.THEN`: a quick look, too."""
 _DISTANCE: Final = re.compile(
     r"\b(?:\d+(?:[.,]\d+)? ?(?:m|ft|feet|foot|km)"
     r"|(?:\d+(?:[.,]\d+)?|an?|one|two|three|four|five|six|seven|eight|nine|ten)"

@@ -80,8 +80,8 @@ def repeat_verbs(graph: SemanticGraph) -> SemanticGraph:
         behind = sorted((node for node in action.arguments if node.start >= action.end), key=lambda node: node.start)
         for before, node in pairwise(behind):
             words = node.text.split(maxsplit=1)
-            is_first = before is behind[0] and len(words) > 1 and words[0].lower() in _THEN
-            is_apart = before.text.lower() in _THEN and before is not behind[0]
+            is_first = before is behind[0] and len(words) > 1 and words[0].lower() in THEN
+            is_apart = before.text.lower() in THEN and before is not behind[0]
             if not (is_first or is_apart):
                 continue
             place = node.start + (len(node.text) - len(words[1]) if is_first else 0)
@@ -104,7 +104,7 @@ def _say_again(graph: SemanticGraph, index: int, place: int) -> SemanticGraph:
     def kept(node: Action | Argument) -> tuple[int, int]:
         return (node.start + shift, node.end + shift) if node.start >= place else (node.start, node.end)
 
-    first = tuple(node for node in action.arguments if node.end <= place and node.text.lower() not in _THEN)
+    first = tuple(node for node in action.arguments if node.end <= place and node.text.lower() not in THEN)
     second = tuple(moved(node) for node in action.arguments if node.end > place)
     actions = []
     for other in graph.actions:
@@ -119,7 +119,8 @@ def _say_again(graph: SemanticGraph, index: int, place: int) -> SemanticGraph:
     return SemanticGraph(caption, (*actions[: index + 1], again, *actions[index + 1 :]))
 
 
-_THEN: Final = frozenset("then next afterwards finally".split())
+THEN: Final = frozenset("then next afterwards finally".split())
+"""Words behind which a verb may be meant that is said before ("turn left, then right")."""
 
 
 def name_subject(graph: SemanticGraph) -> SemanticGraph:
@@ -251,9 +252,13 @@ def is_state(pieces: Pieces, action: Action) -> bool:
     return is_held or (word in _NO_VERBS and word not in lexicon.VERBS)
 
 
+def is_plural_noun(word: str) -> bool:
+    """Tell by its ending whether a noun names several ("guards", not "boss")."""
+    return word.endswith("s") and not word.endswith(("ss", "us", "'s", "’s"))
+
+
 def is_singular(pieces: Pieces, subject: Argument) -> bool:
     """Tell whether who moves is one person or part of the body."""
     words = [pieces.word(index) for index in pieces.of(subject)]
     last = words[-1] if words else ""
-    is_plural = last in lexicon.BODY_PLURALS or (last.endswith("s") and not last.endswith(("ss", "us", "'s", "’s")))
-    return not (is_plural or _PLURALS & set(words) or "and" in words)
+    return not (last in lexicon.BODY_PLURALS or is_plural_noun(last) or _PLURALS & set(words) or "and" in words)

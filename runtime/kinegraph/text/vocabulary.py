@@ -26,7 +26,7 @@ from kinegraph.arrays import FloatArray
 from kinegraph.bundle.vocabulary import ACTION_SENTENCE, STYLE_SENTENCE, Vocabulary
 from kinegraph.graph import SemanticGraph
 from kinegraph.text import lexicon
-from kinegraph.text.narration import subject_of
+from kinegraph.text.narration import is_plural_noun, subject_of
 from kinegraph.text.words import (
     CONTRACTION,
     FUNCTION,
@@ -276,9 +276,8 @@ class _Finder:
                 if subject is not None and subject.start <= word.start and word.end <= subject.end
             ]
             word = self._words[own[-1]].text if own else ""
-            is_plural = word.endswith("s") and not word.endswith(("ss", "us", "'s"))
             is_person = word not in lexicon.BODY_PLURALS | PERSON_PLURALS | PERSONS and word[:-1] not in _NO_PERSONS
-            if is_plural and is_person and own[-1] not in found:
+            if is_plural_noun(word) and is_person and own[-1] not in found:
                 found.add(own[-1])
                 yield _Span(max(own[0], own[-1] - 1), own[-1], "people")
 
