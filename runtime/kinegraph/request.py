@@ -29,6 +29,7 @@ from kinegraph.interpretation import (
     without_quantity,
     without_request,
 )
+from kinegraph.limits import MAX_NODES
 from kinegraph.options import GenerateOptions
 from kinegraph.text.lexicon import WORDINGS
 from kinegraph.text.narration import THEN
@@ -71,6 +72,11 @@ MANY_AT_ONCE: Final = (
 """Note for compositions of so many, and for sentences of both hands that are not made of each action alone."""
 _THEN: Final = re.compile(rf"\b(?:{'|'.join(sorted(THEN))})\b", re.IGNORECASE)
 """Words of `narration.THEN`: a quick look, too."""
+_WORD: Final = re.compile(r"[^\W_]+")
+_JOINING: Final = frozenset(
+    ["a", "an", "and", "as", "before", "he", "it", "person", "she", "the", "then", "they", "while"]
+)
+"""Words that need no node of their own."""
 _DISTANCE: Final = re.compile(
     r"\b(?:\d+(?:[.,]\d+)? ?(?:m|ft|feet|foot|km)"
     r"|(?:\d+(?:[.,]\d+)?|an?|one|two|three|four|five|six|seven|eight|nine|ten)"
@@ -148,6 +154,7 @@ def interpret(
         f"{found.group()!r}: how far somebody goes is not held; give a `Path`, or the seconds that it takes"
         for found in _DISTANCE.finditer(graph.caption)
     ]
+    notes += _parts_left_out(graph)
     for quantity in reversed(quantities):
         if quantity.unit != "steps":  # captions of training name steps
             wanted = _without(wanted, quantity)
@@ -168,6 +175,22 @@ def interpret(
         bool(lengths),
         tuple(notes),
     )
+
+
+def _parts_left_out(graph: SemanticGraph) -> list[str]:
+    """Tell what of a long sentence has no node, as a graph has room for `MAX_NODES` (`text.parser.build_graph`)."""
+    if graph.node_count < MAX_NODES:
+        return []
+    end = max((node.end for action in graph.actions for node in action.arguments), default=0)
+    later = {action.start for action in graph.actions if action.start >= end}
+    words = [found for found in _WORD.finditer(graph.caption, end) if found.start() not in later]
+    if all(found.group().lower() in _JOINING for found in words):
+        return []
+    first = next(found for found in words if found.group().lower() not in _JOINING)
+    return [
+        f"the sentence has more parts than the {MAX_NODES - 1} that are read: those from {first.group()!r} on, at "
+        f"character {first.start() + 1}, are left out, but for the actions; say it in several sentences"
+    ]
 
 
 def _note_length(lengths: dict[int, tuple[Unit, float]], quantity: Quantity, length: float) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from typing import Any
 
@@ -256,6 +257,20 @@ def test_distances_are_told_not_to_be_held(
 ) -> None:
     told = [note for note in interpret(toy.parse(sentence), manifest).notes if "how far somebody goes" in note]
     assert [note.split(":")[0] for note in told] == ([] if distance is None else [repr(distance)])
+
+
+def test_parts_that_a_graph_has_no_room_for_are_told(toy: MotionPipeline, manifest: Manifest) -> None:
+    told = "more parts than the 31 that are read"
+    each = [f"{verb} slowly with the {side} hand" for verb in ("waves", "claps") for side in ("left", "right")]
+    for count in (1, 2, 12):
+        caption = "a person " + ", then ".join((each * 3)[:count])
+        notes = [note for note in interpret(toy.parse(caption), manifest).notes if told in note]
+        assert len(notes) == (count == 12)
+    # It says where they begin: nothing behind that is a part, but for actions.
+    graph = toy.parse(caption)
+    place = int(re.search(r"at character (\d+)", notes[0])[1]) - 1
+    assert all(node.end <= place for action in graph.actions for node in action.arguments)
+    assert repr(caption[place:].split()[0].rstrip(",")) in notes[0]
 
 
 def test_a_curly_apostrophe_negates_as_a_straight_one_does(toy: MotionPipeline, manifest: Manifest) -> None:
