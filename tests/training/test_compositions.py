@@ -21,10 +21,14 @@ from kinegraph_training.synthetic.caption_grammar import CAPTIONS, PHRASES
 from kinegraph_training.synthetic.compositions import (
     BLEND,
     LEFT_ARM,
+    MAX_SLIDE,
     RIGHT_ARM,
     HeldOut,
+    can_splice,
+    goes_round,
     make_sequences,
     make_splices,
+    slide_of_join,
     splice,
     stitch_clips,
 )
@@ -97,6 +101,53 @@ def test_a_sequence_goes_on_where_and_how_the_first_one_ends() -> None:
     steps = np.linalg.norm(np.diff(out[:, 0][:, [0, 2]], axis=0), axis=1)
     assert steps.max() < 0.07
     assert abs(facing_angle(out)[-1] - facing_angle(first)[-1]) < 0.3
+
+
+def test_a_held_out_pair_is_not_made_by_another_name() -> None:
+    both, wave = frozenset(("walk", "raise-up-both-hands")), frozenset(("walk", "bye"))
+    held_out = HeldOut(frozenset((both, wave)), frozenset())
+    hands = ["raise-up-left-hand", "raise-up-right-hand"]
+    assert not can_splice("walk", hands, held_out) and can_splice("run", hands, held_out)
+    assert can_splice("walk", hands[:1], held_out) and can_splice("walk", [hands[0], "wave-right-hand"], held_out)
+    assert not can_splice("walk", ["byebye"], held_out) and can_splice("run", ["byebye"], held_out)
+    # In a manner in which nobody was recorded raising both hands, they are not both raised.
+    tired = [replace(one, style="exhausted") for one in pool()]
+    made = make_splices(tired, 30, NOTHING, 3, actions=3)
+    raised = [{"raise-up-left-hand", "raise-up-right-hand"} <= set(one.actions) for one in made]
+    assert not any(raised)
+    normal = make_splices(pool(), 30, NOTHING, 3, actions=3)
+    assert any({"raise-up-left-hand", "raise-up-right-hand"} <= set(one.actions) for one in normal)
+
+
+def test_whoever_moves_an_arm_is_not_said_to_be_motionless() -> None:
+    still = [clip("stand-still", walk(60, speed=0.0)), *pool()[4:]]
+    made = [one for one in make_splices(still, 40, NOTHING, 2) if one.actions[0] == "stand-still"]
+    assert made
+    texts = [text for one in made for text in (*one.captions, *one.partial_captions)]
+    assert not any(word in text for text in texts for word in ("still", "motionless", "not moving", "without moving"))
+
+
+def test_a_part_of_a_circle_is_a_circle_only_if_it_goes_round() -> None:
+    whole = walk(120, turning=2 * np.pi / 120).astype(np.float32)
+    assert goes_round("walk-circle-left", whole) and not goes_round("walk-circle-left", whole[:60])
+    assert goes_round("walk", whole[:60])
+
+
+def test_a_join_that_drags_a_foot_is_told_from_one_that_does_not() -> None:
+    standing = np.repeat(walk(1), 60, axis=0).astype(np.float32)
+    # Two feet that stand, and a body that is carried half a metre over the frames of the join.
+    dragged = standing.copy()
+    ramp = np.clip((np.arange(60) - 30 + BLEND) / BLEND, 0.0, 1.0)
+    dragged[:, :, 2] += 0.5 * ramp[:, None]
+    assert slide_of_join(dragged, 30) == pytest.approx(0.5, abs=0.02) and slide_of_join(standing, 30) < 0.02
+    # What slides all the time does not slide more in the join.
+    gliding = walk(60).astype(np.float32)
+    assert slide_of_join(gliding, 30) < MAX_SLIDE
+
+
+def test_sequences_that_cannot_be_made_are_not_drawn_for_ever() -> None:
+    lying = clip("run", np.flip(walk(50), axis=1))  # no pose of it is near one of the walk
+    assert make_sequences([clip("walk", walk(60)), lying], 3, NOTHING, 1, 196) == []
 
 
 def test_held_out_pairs_are_never_made_nor_their_mirror_images(tmp_path: Path) -> None:

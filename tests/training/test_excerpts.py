@@ -73,3 +73,14 @@ def test_a_preset_asks_for_them(tmp_path: Path) -> None:
     assert straight and max(np.ptp(facing_angle(walk_clip.joints)) for walk_clip in straight) <= 0.2 + max(
         np.ptp(facing_angle(walk_clip.joints)) for walk_clip in walks
     )
+
+
+def test_excerpts_of_circles_go_round() -> None:
+    round_and_round = MotionClip(
+        "c", walk(190, turning=4 * np.pi / 190), ("a person walks in circles.",), ("walk-circle-left",), "normal"
+    )
+    for excerpt in make_excerpts([round_and_round], 20, 1, 190):
+        heading = np.unwrap(facing_angle(excerpt.joints))
+        assert np.degrees(heading[-1] - heading[0]) >= 270.0
+    half = MotionClip("h", walk(90, turning=np.pi / 90), (), ("walk-circle-left",), "normal")
+    assert make_excerpts([half], 2, 1, 90) == []

@@ -135,3 +135,20 @@ def test_gestures_are_made_of_people_who_stand_and_are_called_so() -> None:
     assert len(made) == 40 and {clip.action for clip in made} <= set(MADE)
     assert all(clip.made_by == "gestures" and clip.captions for clip in made)
     assert make_gestures([], 5, 1) == []
+
+
+def test_nobody_turns_in_a_manner_whose_turns_were_never_recorded() -> None:
+    walks = [MotionClip("w", walk(150).astype(np.float32), ("a person walks",), ("walk",), "elderly")]
+    stand = [MotionClip("s", standing(), ("a person stands",), ("stand-still",), "")]
+    assert {clip.action for clip in make_bent(walks, stand, 20, 4)} == {"walk-and-stop"}
+    turned = MotionClip("t", walk(60, turning=0.02).astype(np.float32), (), ("walk-turn-left",), "elderly")
+    assert "walk-circle-left" in {clip.action for clip in make_bent([*walks, turned], stand, 20, 4)}
+
+
+def test_whoever_turns_back_goes_some_way_back() -> None:
+    walks = [MotionClip("w", walk(55).astype(np.float32), ("a person walks",), ("walk",), "")]
+    for clip in make_bent(walks, [], 20, 4):
+        heading = np.unwrap(facing_angle(clip.joints))
+        turned = np.flatnonzero(np.abs(heading - heading[0]) > np.radians(175))
+        way = np.diff(clip.joints[turned[0] :, 0][:, [0, 2]], axis=0)
+        assert np.linalg.norm(way, axis=1).sum() > 0.9

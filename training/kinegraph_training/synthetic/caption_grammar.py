@@ -6,7 +6,6 @@ follow "while" ("walking"); and `{n}`, a number of steps. The verb phrases are t
 
 from __future__ import annotations
 
-import re
 from collections.abc import Sequence
 
 import numpy as np
@@ -18,11 +17,6 @@ PHRASES: dict[str, Action] = dict(read_action_table().actions)
 
 TRAVEL = ("walk", "run", "dash", "jog", "march", "skip", "shuffle", "hop", "start-walking")
 LOCOMOTION = frozenset(name for name, action in PHRASES.items() if action.parts == "legs" and name.startswith(TRAVEL))
-
-_SIDE = re.compile(
-    r"(,)? (?:(?:turning |leading |starting )?(?:to|toward|with|over|on) (?:the|one's) )?(?:left|right)"
-    r"(?:ward|wards)?(?: (?:hand|foot|leg|arm|fist|side))?$"
-)
 
 SUBJECTS = (
     *("a person",) * 6,
@@ -78,11 +72,9 @@ FINAL_STOP = 0.3
 """Share of captions that end with a full stop."""
 
 
-def without_side(phrase: str) -> str:
-    """Leave out the side at the end of a verb phrase: "kicks with the left foot" becomes "kicks"."""
-    rest = _SIDE.sub("", phrase)
-    # What is left of "waves the left hand" is no phrase.
-    return phrase if rest.endswith((" the", " a")) else rest
+def without_side(phrases: Sequence[str], side: str) -> Sequence[str]:
+    """Keep the phrases that do not name the side ("kicks", "throws a punch"), if there are any."""
+    return [phrase for phrase in phrases if side not in phrase] or phrases
 
 
 def with_side(phrases: Sequence[str], side: str) -> Sequence[str]:
@@ -115,7 +107,9 @@ def step_count_captions(action: str, steps: int | None, style: str, rng: np.rand
     return tuple(captions)
 
 
-ALONE = ("{subject} {a}",) * 5 + ("{subject} is {a_ing}", "{subject} is {a_ing}", "{subject} keeps {a_ing}")
+ALONE = ("{subject} {a}",) * 5 + ("{subject} is {a_ing}",) * 2
+GOING_ON = "{subject} keeps {a_ing}"
+"""One more template for steady actions: a kick is not kept up."""
 WITHOUT_SIDE = 0.2
 """Share of captions of an action with a side that do not name it."""
 
@@ -128,10 +122,13 @@ def concept_caption(action: str, style: str, rng: np.random.Generator) -> str:
         verb = _draw(("does", "performs", "makes"), rng)
         text = f"{_draw(SUBJECTS, rng)} {verb} {_draw(entry.noun, rng)}"
     else:
-        finite, participle = _draw(entry.finite, rng), _draw(entry.participle, rng)
+        finite, participle = entry.finite, entry.participle
         if entry.side and rng.random() < WITHOUT_SIDE:
-            finite, participle = without_side(finite), without_side(participle)
-        text = _draw(ALONE, rng).format(subject=_draw(SUBJECTS, rng), a=finite, a_ing=participle)
+            finite, participle = without_side(finite, entry.side), without_side(participle, entry.side)
+        template = _draw((*ALONE, GOING_ON) if entry.steady else ALONE, rng)
+        if template == GOING_ON:
+            participle = [phrase for phrase in participle if not phrase.startswith(("keeping ", "staying "))]
+        text = template.format(subject=_draw(SUBJECTS, rng), a=_draw(finite, rng), a_ing=_draw(participle, rng))
     text = f"{text} {style_phrase}".strip()
     return text + "." if rng.random() < FINAL_STOP else text
 
@@ -179,6 +176,14 @@ def partial_captions(actions: Sequence[str], style: str, rng: np.random.Generato
             pair = [action for index, action in enumerate(actions) if index != left_out]
             captions.append(_fill(_draw(TWO_AT_ONCE, rng), pair, style, rng))
     return tuple(captions)
+
+
+def draw_concepts(captions: Sequence[str], actions: int, rng: np.random.Generator) -> tuple[str, ...]:
+    """Draw of `partial_captions` some that name each action of a clip once; of three, also one and the other two."""
+    if actions == 2:
+        return captions[int(rng.integers(2))], captions[2 + int(rng.integers(2))]
+    alone = int(rng.integers(4))
+    return tuple(captions[:3]) if alone == 3 else (captions[alone], captions[3 + alone])
 
 
 def sequence_caption(first: str, second: str, style: str, rng: np.random.Generator) -> tuple[str, ...]:

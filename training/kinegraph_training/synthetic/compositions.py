@@ -9,7 +9,7 @@ not seen.
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -20,7 +20,7 @@ from kinegraph.errors import InvalidInputError
 from kinegraph.motion.body_parts import ARMS, CHEST, chest_heading, rotate_about_y
 from kinegraph.motion.features import features_from_joints, joints_from_features
 from kinegraph.motion.postprocess import enforce_bone_lengths
-from kinegraph.motion.skeleton import bone_lengths, facing_angle, start_at_origin
+from kinegraph.motion.skeleton import JOINT_INDEX, bone_lengths, facing_angle, start_at_origin
 from kinegraph_training.data.clips import MotionClip, mirrored_label
 from kinegraph_training.metrics import FPS
 from kinegraph_training.synthetic.caption_grammar import (
@@ -41,11 +41,20 @@ MADE_GESTURES = 0.3
 """Share of the gestures of splices that are made instead of recorded."""
 CARRIERS = LOCOMOTION | {"stand-still", "stand-idle", "walk-turn-left", "walk-turn-right", "turn-left", "turn-right"}
 """Actions whose arms only swing along."""
+SAME = {"byebye": "bye"}
+"""Labels of two data sets for one action, when held-out pairs are looked up."""
 SEQUENCE_SECONDS = (3.0, 9.8)
 """Range of the length of a sequence, drawn by its logarithm."""
 PART_SECONDS = (1.2, 5.0)
 """Range of the length of one part of it, if any part of its action will do."""
 NORMAL = "normal"
+FEET = (JOINT_INDEX["left_foot"], JOINT_INDEX["right_foot"])
+MAX_SLIDE = 0.25
+"""Metres that the lower foot may slide further in a join than around it."""
+MAX_DRAWS = 200
+"""Draws at most for each clip that is to be made: in small data few may fit."""
+CIRCLE_DEGREES = 270.0
+"""A shorter part of a circle is no circle."""
 MAX_POSE_GAP = 0.3
 """Metres, mean over joints in the body's frame: poses further apart are not joined."""
 
@@ -157,9 +166,16 @@ def can_splice(carrier: str, gestures: Sequence[str], held_out: HeldOut) -> bool
     one_arm = PHRASES[carrier].parts == "arm" and not any(set(arms_of(carrier)) & other for other in arms)
     if carrier not in CARRIERS and not one_arm:
         return False
-    everything = (carrier, *gestures)
+    everything = with_both_hands((carrier, *gestures))
     pairs = (frozenset((a, b)) for index, a in enumerate(everything) for b in everything[:index])
     return not any(pair in held_out.together for pair in pairs)
+
+
+def with_both_hands(labels: Sequence[str]) -> list[str]:
+    """Name what labels are when held-out pairs are looked up: a raised left and a raised right hand are both hands."""
+    names = [SAME.get(label, label) for label in labels]
+    lefts = [label.removesuffix("left-hand") for label in names if label.endswith("-left-hand")]
+    return names + [f"{stem}both-hands" for stem in lefts if f"{stem}right-hand" in names]
 
 
 def by_style_and_action(clips: Iterable[MotionClip]) -> dict[str, dict[str, list[MotionClip]]]:
@@ -214,14 +230,16 @@ def make_splices(
     )
     gestures = by_style_and_action(clip for clip in known if PHRASES[clip.action].parts in ("arm", "arms"))
     splices: list[MotionClip] = []
-    while len(splices) < count and carriers and gestures:
+    for _ in range(MAX_DRAWS * count if carriers and gestures else 0):
+        if len(splices) == count:
+            break
         style = draw_style(carriers, rng)
         carrier = draw_of(carriers[style], rng)
         if carrier.action not in CARRIERS and (actions == 3 or rng.random() < 0.7):
             continue
         drawn = [draw_gesture(gestures, style, rng) for _ in range(actions - 1)]
         labels = [gesture if isinstance(gesture, str) else gesture.action for gesture in drawn]
-        if not can_splice(carrier.action, labels, held_out):
+        if not can_splice(carrier.action, labels, held_out) or not is_recorded(labels, style, gestures):
             continue
         joints = carrier.joints
         for gesture in drawn:
@@ -231,18 +249,26 @@ def make_splices(
             joints = make_gesture(joints, gesture, rng) if made else splice(joints, gesture, rng)
         else:
             together = (carrier.action, *labels)
+            # Whoever waves is not motionless.
+            told = tuple("stand-idle" if label == "stand-still" else label for label in together)
             splices.append(
                 MotionClip(
                     id=f"splice{actions}_{len(splices):05d}",
                     joints=joints,
-                    captions=splice_caption(together, style, rng),
-                    partial_captions=partial_captions(together, style, rng),
+                    captions=splice_caption(told, style, rng),
+                    partial_captions=partial_captions(told, style, rng),
                     actions=together,
                     style=style,
                     made_by=f"splices_{actions}",
                 )
             )
     return splices
+
+
+def is_recorded(labels: Sequence[str], style: str, gestures: Mapping[str, Mapping[str, Sequence[MotionClip]]]) -> bool:
+    """Tell whether what two hands make together is recorded in a manner: gestures may be held out in it."""
+    both = with_both_hands(labels)[len(labels) :]
+    return style == NORMAL or all(label in gestures.get(style, ()) for label in both)
 
 
 def draw_gesture(
@@ -269,7 +295,9 @@ def make_sequences(
     rng = np.random.Generator(np.random.PCG64(seed))
     groups = by_style_and_action(clip for clip in clips if clip.action in PHRASES and len(clip.joints) >= 2 * BLEND)
     sequences: list[MotionClip] = []
-    while len(sequences) < count and groups:
+    for _ in range(MAX_DRAWS * count if groups else 0):
+        if len(sequences) == count:
+            break
         style = draw_style(groups, rng)
         first, second = (draw_of(groups[style], rng) for _ in range(2))
         if first.action == second.action or (first.action, second.action) in held_out.in_order:
@@ -279,10 +307,13 @@ def make_sequences(
         parts = [part_of(clip, rng) for clip in (first, second)]
         if sum(map(len, parts)) - BLEND > longest or pose_gap(parts[0][-1], parts[1][0]) > MAX_POSE_GAP:
             continue
+        joints = stitch_clips(*parts)
+        if slide_of_join(joints, len(parts[0])) > MAX_SLIDE:
+            continue
         sequences.append(
             MotionClip(
                 id=f"sequence_{len(sequences):05d}",
-                joints=stitch_clips(*parts),
+                joints=joints,
                 captions=sequence_caption(first.action, second.action, style, rng),
                 actions=(first.action, second.action),
                 style=style,
@@ -300,7 +331,30 @@ def part_of(clip: MotionClip, rng: np.random.Generator) -> FloatArray:
     low, high = np.log(np.array(PART_SECONDS) * FPS)
     frames = min(len(clip.joints), round(float(np.exp(rng.uniform(low, high)))))
     start = int(rng.integers(len(clip.joints) - frames + 1))
-    return start_at_origin(clip.joints[start : start + frames])
+    part = clip.joints[start : start + frames]
+    return start_at_origin(part if goes_round(clip.action, part) else clip.joints)
+
+
+def goes_round(action: str, joints: FloatArray) -> bool:
+    """Tell whether a part of a circle turns by `CIRCLE_DEGREES`; parts of other actions are what they are."""
+    heading = np.unwrap(facing_angle(joints))
+    return "circle" not in action or bool(abs(np.degrees(heading[-1] - heading[0])) >= CIRCLE_DEGREES)
+
+
+def slide_of_join(joints: FloatArray, end: int) -> float:
+    """Compute how much further the lower foot slides where two motions are joined than around it, in metres.
+
+    Args:
+        joints: (t, 22, 3) of `stitch_clips`.
+        end: frames of the first motion.
+    """
+    feet = joints[:, list(FEET)]
+    low = np.argmin(np.minimum(feet[:-1, :, 1], feet[1:, :, 1]), axis=1)
+    steps = np.linalg.norm(np.diff(feet[..., [0, 2]], axis=0), axis=-1)[np.arange(len(low)), low]
+    before, join, after = (
+        steps[max(first, 0) : first + BLEND].sum() for first in range(end - 2 * BLEND, end + 1, BLEND)
+    )
+    return float(join - max(before, after))
 
 
 def pose_gap(first: FloatArray, second: FloatArray) -> float:

@@ -22,7 +22,16 @@ from kinegraph_training.data.clips import MotionClip
 from kinegraph_training.data.windows import holds_at_any_moment
 from kinegraph_training.metrics import FPS
 from kinegraph_training.synthetic.caption_grammar import LOCOMOTION, PHRASES, concept_caption, is_turn
-from kinegraph_training.synthetic.compositions import BLEND, MAX_POSE_GAP, pose_gap, stitch_clips
+from kinegraph_training.synthetic.compositions import (
+    BLEND,
+    MAX_DRAWS,
+    MAX_POSE_GAP,
+    MAX_SLIDE,
+    goes_round,
+    pose_gap,
+    slide_of_join,
+    stitch_clips,
+)
 from kinegraph_training.synthetic.gestures import draw_body
 
 WRISTS: Final = (JOINT_INDEX["left_wrist"], JOINT_INDEX["right_wrist"])
@@ -76,7 +85,9 @@ def make_excerpts(clips: Sequence[MotionClip], count: int, seed: int, max_frames
     rng = np.random.Generator(np.random.PCG64(seed))
     usable = [clip for clip in clips if _is_steady(clip) and len(clip.joints) >= SHORTEST]
     excerpts: list[MotionClip] = []
-    while len(excerpts) < count and usable:
+    for _ in range(MAX_DRAWS * count if usable else 0):
+        if len(excerpts) == count:
+            break
         clip = draw_clip(usable, rng)
         frames = round(float(np.exp(rng.uniform(np.log(SHORTEST), np.log(max_frames)))))
         joints = clip.joints
@@ -85,7 +96,9 @@ def make_excerpts(clips: Sequence[MotionClip], count: int, seed: int, max_frames
             joints = stitch([joints, group[int(rng.integers(len(group)))].joints], FPS)
         frames = min(frames, len(joints))
         start = int(rng.integers(len(joints) - frames + 1))
-        excerpts.append(_as_excerpt(clip, joints[start : start + frames], len(excerpts), rng))
+        part = joints[start : start + frames]
+        if goes_round(clip.action, part):
+            excerpts.append(_as_excerpt(clip, part, len(excerpts), rng))
     return excerpts
 
 
@@ -118,7 +131,9 @@ def make_padded(
     usable = [clip for clip in clips if clip.action in PHRASES and not _is_steady(clip) and len(clip.joints) < longest]
     bodies = [clip.joints for clip in standing if len(clip.joints) >= SHORTEST]
     padded: list[MotionClip] = []
-    while len(padded) < count and usable and bodies:
+    for _ in range(MAX_DRAWS * count if usable and bodies else 0):
+        if len(padded) == count:
+            break
         clip = draw_clip(usable, rng)
         joints, sides = clip.joints, rng.choice(3)
         for before in (True, False):
@@ -127,11 +142,11 @@ def make_padded(
             stand = draw_body(bodies, round(rng.uniform(*STANDING_SECONDS) * FPS) + BLEND, rng)
             pair = (stand, joints) if before else (joints, stand)
             if pose_gap(pair[0][-1], pair[1][0]) < MAX_POSE_GAP:
-                joints = stitch_clips(start_at_origin(pair[0]), start_at_origin(pair[1]))
+                joined = stitch_clips(start_at_origin(pair[0]), start_at_origin(pair[1]))
+                if slide_of_join(joined, len(pair[0])) <= MAX_SLIDE:
+                    joints = joined
         if joints is not clip.joints and len(joints) <= max_frames:
             padded.append(_as_excerpt(clip, joints, len(padded), rng, kind="padded"))
-        elif joints is clip.joints and rng.random() < 0.01:
-            break  # nothing fits what is there
     return padded
 
 

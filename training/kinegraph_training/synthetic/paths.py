@@ -16,7 +16,8 @@ from kinegraph.motion.turning import bend
 from kinegraph_training.data.clips import MotionClip
 from kinegraph_training.metrics import FPS
 from kinegraph_training.synthetic.caption_grammar import CAPTIONS, PHRASES, concept_caption
-from kinegraph_training.synthetic.compositions import stitch_clips
+from kinegraph_training.synthetic.compositions import MAX_DRAWS, MAX_SLIDE, NORMAL, slide_of_join, stitch_clips
+from kinegraph_training.synthetic.excerpts import select_turning_styles
 from kinegraph_training.synthetic.gestures import draw_body
 
 GAITS: Final = {"walk": "walk", "run": "run", "jog": "run", "walk-back": "walk-back"}
@@ -30,6 +31,9 @@ MAX_STRAIGHT_TURN: Final = 25.0
 """Degrees: a walk that turns less is straight."""
 CIRCLE_DEGREES: Final = (250.0, 420.0)
 MAX_DEGREES_PER_SECOND: Final = 80.0
+MIN_WAY_BACK: Final = 1.0
+"""Metres that somebody goes after a U-turn."""
+STOPS: Final = 6
 U_TURN_SECONDS: Final = (1.2, 2.4)
 
 
@@ -73,19 +77,29 @@ def make_bent(clips: Sequence[MotionClip], standing: Sequence[MotionClip], count
     """
     rng = np.random.Generator(np.random.PCG64(seed))
     straight = [clip for clip in clips if clip.action in GAITS and len(clip.joints) >= 50 and is_straight(clip.joints)]
+    turning = {"", NORMAL, *(clip.style for clip in select_turning_styles(clips))}
     bent: list[MotionClip] = []
-    while len(bent) < count and straight:
+    for _ in range(MAX_DRAWS * count if straight else 0):
+        if len(bent) == count:
+            break
         clip = straight[int(rng.integers(len(straight)))]
         shape, side = SHAPES[int(rng.integers(len(SHAPES)))], ("left", "right")[int(rng.integers(2))]
         label = f"{GAITS[clip.action]}-{shape}"
         label = label if shape == "and-stop" else f"{label}-{side}"
         if label not in PHRASES or (shape == "circle" and len(clip.joints) < CIRCLE_FRAMES):
             continue
+        joints: FloatArray | None
         if shape == "and-stop":
-            joints = stop(clip.joints, standing, rng)
+            joints = stop(clip.joints, standing, rng) if standing else None
+        elif clip.style not in turning:  # turns may be held out in it
+            continue
         else:
             turn = (circle_turn if shape == "circle" else u_turn)(len(clip.joints), side, rng)
             joints = bend(clip.joints, turn)
+            if shape == "u-turn" and path_length(joints[np.flatnonzero(turn)[-1] :]) < MIN_WAY_BACK:
+                continue
+        if joints is None:
+            continue
         bent.append(
             MotionClip(
                 id=f"bent_{len(bent):05d}",
@@ -100,10 +114,22 @@ def make_bent(clips: Sequence[MotionClip], standing: Sequence[MotionClip], count
     return bent
 
 
-def stop(walk: FloatArray, standing: Sequence[MotionClip], rng: np.random.Generator) -> FloatArray:
-    """Let a walk of 1.5 to 4 s end standing for 1 to 2.5 s, stitched where the feet pass each other."""
-    frames = min(len(walk), round(rng.uniform(1.5, 4.0) * FPS))
-    feet = np.linalg.norm(walk[:, LEFT_ANKLE] - walk[:, RIGHT_ANKLE], axis=-1)
-    end = frames - 12 + int(np.argmin(feet[frames - 12 : frames])) + 1
-    body = draw_body([clip.joints for clip in standing], round(rng.uniform(1.0, 2.5) * FPS), rng)
-    return stitch_clips(walk[:end], start_at_origin(body))
+def path_length(joints: FloatArray) -> float:
+    """Compute the length of the pelvis's path on the ground, in metres."""
+    return float(np.linalg.norm(np.diff(joints[:, 0, [0, 2]], axis=0), axis=-1).sum())
+
+
+def stop(walk: FloatArray, standing: Sequence[MotionClip], rng: np.random.Generator) -> FloatArray | None:
+    """Let a walk of 1.5 to 4 s end standing for 1 to 2.5 s, stitched where the feet pass each other.
+
+    Of `STOPS` draws the first is taken in which no foot slides; None if one does in all of them.
+    """
+    for _ in range(STOPS):
+        frames = min(len(walk), round(rng.uniform(1.5, 4.0) * FPS))
+        feet = np.linalg.norm(walk[:, LEFT_ANKLE] - walk[:, RIGHT_ANKLE], axis=-1)
+        end = frames - 12 + int(np.argmin(feet[frames - 12 : frames])) + 1
+        body = draw_body([clip.joints for clip in standing], round(rng.uniform(1.0, 2.5) * FPS), rng)
+        joints = stitch_clips(walk[:end], start_at_origin(body))
+        if slide_of_join(joints, end) <= MAX_SLIDE:
+            return joints
+    return None

@@ -25,9 +25,16 @@ FAST: Final = ("quickly", "fast", "at a fast pace", "very fast")
 NEW_CAPTIONS: Final = 2
 """Captions written for each clip, besides those kept from its source."""
 
+DRAWS: Final = 12
+"""Captions that are drawn to find `NEW_CAPTIONS` without a speed of their own."""
+
 _SPEED = re.compile(
-    r"\b(slow(ly)?|quick(ly)?|fast|rapid(ly)?|brisk(ly)?|pace|speed|hurr(y|ied|iedly))\b", re.IGNORECASE
+    r"\b(slow(ly)?|quick(ly)?|fast|rapid(ly)?|brisk(ly)?|pace|speed(s|ing)?|hurr(y|ies|ying|ied|iedly)"
+    r"|sprint(s|ing)?|dash(es|ing)?|rush(es|ing)?|rac(e|es|ing)|bolt(s|ing)?|tear(s|ing)?|charg(e|es|ing)"
+    r"|stroll(s|ing)?|ambl(e|es|ing)|shuffl(e|es|ing)|energ\w+)\b",
+    re.IGNORECASE,
 )
+"""Words that say how fast somebody is: another speed beside them would not be true."""
 
 
 def make_time_scaled(clips: Sequence[MotionClip], count: int, seed: int, max_frames: int) -> list[MotionClip]:
@@ -47,7 +54,11 @@ def make_time_scaled(clips: Sequence[MotionClip], count: int, seed: int, max_fra
         frames = round(len(clip.joints) * scale if slow else len(clip.joints) / scale)
         phrases = SLOWLY if slow else FAST
         sentences = [caption for caption in clip.captions if not _SPEED.search(caption)]
-        sentences += [concept_caption(clip.action, clip.style, rng) for _ in range(NEW_CAPTIONS)]
+        drawn = (concept_caption(clip.action, clip.style, rng) for _ in range(DRAWS))
+        sentences += [caption for caption in drawn if not _SPEED.search(caption)][:NEW_CAPTIONS]
+        if not sentences:  # all that is said of a dash is said of its speed
+            usable = [other for other in usable if other is not clip]
+            continue
         captions = tuple(_add_phrase(sentence, phrases[int(rng.integers(len(phrases)))], rng) for sentence in sentences)
         joints = start_at_origin(resample_catmull_rom(clip.joints, frames))
         scaled.append(
