@@ -55,6 +55,9 @@ class DataConfig:
     often: list[str] = field(default_factory=list)
     """Beginnings of labels that are drawn `often_weight` times as often: what people ask for and data seldom hold."""
     often_weight: float = 3.0
+    composed: float = 0.0
+    """Share of the draws with partial captions of a splice that are composed of one for each action, half of them each
+    by Eq. 7 and Eq. 9 of EnergyMoGen (`composed_rows`)."""
     verb_masking: bool = True
     """Whether verbs are masked in some captions, which needs all of them to be encoded twice."""
     hide_from: float = 0.0

@@ -66,16 +66,21 @@ class DenoiserModule(L.LightningModule):
 
         Args:
             level: name of the level.
-            nodes: (b, n, D) of the graph encoder.
+            nodes: (a, n, D) of the graph encoder.
             batch: latents, graphs and what is hidden.
             timestep: t, (b,).
             noise: eps, (b, c, z).
 
         Returns:
-            eps', (b, c, z).
+            eps', (b, c, z); of composed samples that of all their rows (EnergyMoGen, Eq. 7 and 9).
         """
-        predicted: Tensor = self.hierarchy.levels[level].step(*self.step_inputs(level, nodes, batch, timestep, noise))
-        return predicted.float()
+        inputs, rows = self.step_inputs(level, nodes, batch, timestep, noise), batch.rows
+        if rows is None:
+            predicted: Tensor = self.hierarchy.levels[level].step(*inputs)
+            return predicted.float()
+        of_rows = self.hierarchy.levels[level].step(*inputs, mixing=rows.mixing)
+        with torch.autocast(of_rows.device.type, enabled=False):  # a difference of predictions is small
+            return torch.tensordot(rows.coefficients, of_rows.float(), dims=1)
 
     def step_inputs(
         self, level: str, nodes: Tensor, batch: DenoiserBatch, timestep: Tensor, noise: Tensor
@@ -83,18 +88,23 @@ class DenoiserModule(L.LightningModule):
         """Compute what the denoiser of a level takes; arguments as in `predict_noise`.
 
         Returns:
-            Noisy latents (b, c, z), modulation, context and its bias (b, 1, 1, s), see `NoisePredictor.forward`.
+            Noisy latents (r, c, z), modulation, context and its bias (a, 1, 1, s), see `NoisePredictor.forward`;
+            r = a = b where no sample is composed.
         """
         denoiser = self.hierarchy.levels[level]
         # z_t = sqrt(alpha_t) z_0 + sqrt(1 - alpha_t) eps
         alpha = self.alphas[timestep][:, None, None]
         noisy = alpha.sqrt() * batch.latents[level] + (1 - alpha).sqrt() * noise
-        bias = self.context_bias(level, batch)
-        context = denoiser.context(nodes, batch.graph.kind, batch.graph.order, bias, batch.coarse.get(level))
-        return noisy, denoiser.clock(timestep, batch.frames), context, bias[:, None, None, :]
+        bias, coarse, frames = self.context_bias(level, batch), batch.coarse.get(level), batch.frames
+        if batch.rows is not None:
+            sample = batch.rows.sample
+            noisy, timestep, frames = noisy[sample], timestep[sample], frames[sample]
+            coarse = None if coarse is None else coarse[batch.rows.attention_sample]
+        context = denoiser.context(nodes, batch.graph.kind, batch.graph.order, bias, coarse)
+        return noisy, denoiser.clock(timestep, frames), context, bias[:, None, None, :]
 
     def context_bias(self, level: str, batch: DenoiserBatch) -> Tensor:
-        """Compute the bias (b, s) of the context tokens: PADDING_BIAS on what is hidden or not seen at this level."""
+        """Compute the bias (a, s) of the context tokens: PADDING_BIAS on what is hidden or not seen at this level."""
         names = self.hierarchy.config.kinds_seen(level)
         kind = batch.graph.kind
         seen = torch.isin(kind, torch.tensor([KINDS[name] for name in (*names, "null", "partial")], device=kind.device))
@@ -105,7 +115,8 @@ class DenoiserModule(L.LightningModule):
         coarse = batch.coarse.get(level)
         if coarse is None:
             return bias
-        return torch.cat([bias, batch.coarse_bias[:, None].expand(-1, coarse.shape[1])], dim=1)
+        of_coarse = batch.coarse_bias if batch.rows is None else batch.coarse_bias[batch.rows.attention_sample]
+        return torch.cat([bias, of_coarse[:, None].expand(-1, coarse.shape[1])], dim=1)
 
     def draw_timesteps(self, count: int, generator: torch.Generator | None) -> Tensor:
         """Draw timesteps (count,), stratified: each of `count` equal parts of the schedule gives one."""

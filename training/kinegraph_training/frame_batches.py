@@ -48,7 +48,7 @@ class FrameBatches(DenoiserBatches):
         self.config = config
 
     def __call__(self, indices: list[int]) -> FrameBatch:
-        graph, bias = self._draw_graphs(indices)
+        graph, bias, _ = self._draw_graphs(indices)
         group = self.config.frames_per_token
         clips = [self.dataset.features[index] for index in indices]
         features, mask = pad_clips([rows[: len(rows) // group * group] for rows in clips], group)

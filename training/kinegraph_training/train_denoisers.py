@@ -95,7 +95,12 @@ def make_loaders(
     weights = sampling_weights(without_motion(train.clips), preset.data)
     sizes = caption_sizes(without_motion(train.clips), graphs)
     sampler = SimilarLengths(sizes, weights, size, BATCHES_PER_EPOCH)
-    collate = DenoiserBatches(train, latents.train, graphs, seed=preset.seed, augment=True, masked=captions.masked)
+    composed = preset.data.composed
+    if composed and preset.denoiser.kind == "concat":
+        raise InvalidInputError("kind concat cannot compose inside a layer (EnergyMoGen, Eq. 9): set composed to 0")
+    collate = DenoiserBatches(
+        train, latents.train, graphs, seed=preset.seed, augment=True, masked=captions.masked, composed=composed
+    )
     collate_val = DenoiserBatches(val, latents.val, graphs, seed=preset.seed, augment=False)
     train_indices: Any = range(len(train.clips))
     val_indices: Any = range(len(val.clips))
