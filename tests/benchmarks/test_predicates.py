@@ -179,8 +179,17 @@ def test_a_hand_that_goes_to_and_fro_twice_waves(cycles: float, frames: int) -> 
     joints = raised_arm(0.4, cycles, frames)
     assert p.waves("right")(joints) and not p.waves("left")(joints) and not p.waves("both")(joints)
     assert p.waves("left")(mirrored(joints))
-    assert not p.raises("right")(joints) and not p.raises_beside("right")(joints)
+    assert not p.raises("right")(joints)
+    # Beside another action, once to and fro may be a sway.
+    assert p.raises_beside("right")(joints) == (cycles == 1.0) != p.waves_beside("right")(joints)
     assert p.wave_strokes(joints, "right").max() == pytest.approx(2 * 0.25 * np.sin(0.4), rel=0.2)
+
+
+def test_a_hand_that_is_held_up_on_the_way_and_sways_is_raised() -> None:
+    for swing, sways in ((0.2, True), (0.4, False)):
+        joints = raised_arm(swing, 4.0) + (walk(80)[:, :1] - walk(1)[:, :1])
+        assert p.raises_beside("right")(joints) == sways and p.waves_beside("right")(joints) != sways
+        assert p.hand_waves(joints, "right")  # of somebody who stands, either is a wave
 
 
 def test_a_raised_hand_that_trembles_does_not_wave() -> None:

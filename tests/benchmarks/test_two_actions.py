@@ -15,15 +15,17 @@ from kinegraph_benchmarks.common.two_action_scores import (
 from kinegraph_benchmarks.common.two_action_set import (
     ALONE,
     BESIDE,
+    ONE_HAND,
     TwoActionClip,
     build_two_action_set,
     distinguishable_pairs,
     happen_in_order,
     join_clips,
 )
-from kinegraph_training.data.clips import MotionClip
+from kinegraph_training.data.clips import MotionClip, read_split
 from kinegraph_training.synthetic.compositions import BLEND, HeldOut, stitch_clips
 from support.motions import posed, t_pose, turn, walk
+from support.shared import shared_path
 
 UP = {16: turn("z", 1.4)}
 """The left arm above the head."""
@@ -105,3 +107,21 @@ def test_held_out_pairs_are_counted_apart() -> None:
     items: list[TwoActionClip] = build_two_action_set(CLIPS, HELD, "in_order")
     rates = rates_by_training(items, [items[0].joints, WALK])
     assert rates == {"joined_in_training": {"clips": 1, "both_hold": 0.0}, "held_out": {"clips": 1, "both_hold": 1.0}}
+
+
+def test_captured_raises_and_waves_are_told_apart_beside_other_actions() -> None:
+    clips = read_split(shared_path("data", "bandai"), "train")
+    items = build_two_action_set(clips, HELD, "together")
+    held: dict[str, list[bool]] = {"raise": [], "wave": [], "raise taken for wave": [], "wave taken for raise": []}
+    for item in items:
+        for action in item.actions:
+            if action not in ONE_HAND or item.style == "feminine":  # those raise no hand above the head
+                continue
+            kind = action.partition("-")[0]
+            other = action.replace("raise-up", "wave") if kind == "raise" else action.replace("wave", "raise-up")
+            held[kind].append(BESIDE[action](item.joints))
+            held[f"{kind} taken for {'wave' if kind == 'raise' else 'raise'}"].append(BESIDE[other](item.joints))
+    rates = {name: float(np.mean(values)) for name, values in held.items()}
+    print("beside another action, captured:", {name: round(rate, 3) for name, rate in rates.items()}, len(items))
+    assert rates["raise"] >= 0.97 and rates["wave"] >= 0.95
+    assert rates["raise taken for wave"] <= 0.02 and rates["wave taken for raise"] <= 0.02

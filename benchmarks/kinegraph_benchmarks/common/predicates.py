@@ -24,6 +24,9 @@ RAISED = -0.1
 """Metres above its shoulder from which a wrist is raised, if it is also above its elbow."""
 WIDE_STROKE, WIDE_REVERSALS = 0.06, 2
 """Strokes of a wave with a raised hand, metres, and how often they turn around at least."""
+MOVING_STROKE = 0.12
+"""The same beside another action: a hand that a runner holds up sways by 6 to 11 cm. Captured waves on bodies that go
+or turn are as wide, or flicks; captured raises there are not (tests/benchmarks/test_two_actions.py)."""
 FLICK_STROKE, FLICK_REVERSALS, FLICK_SECONDS = 0.01, 4, 0.4
 """The same of a wave from the wrist, and the longest time between reversals: joints end at the wrist, which shakes."""
 MOST_TURN = 200.0
@@ -121,14 +124,14 @@ def wave_strokes(joints: FloatArray, side: str) -> NDArray[np.float64]:
 # Predicates
 
 
-def hand_waves(joints: FloatArray, side: str) -> bool:
-    """Tell whether a raised hand goes to and fro sideways: widely twice, or in quick flicks beside the shoulder.
+def hand_waves(joints: FloatArray, side: str, stroke: float = WIDE_STROKE) -> bool:
+    """Tell whether a raised hand goes to and fro sideways: by `stroke` twice, or in quick flicks beside the shoulder.
 
     A hand that is raised and lowered turns around once. Of captured waves 99 % are met in each style, of captured
     raises 1 %, of walks and runs none. Feminine waves are flicks: the wrist moves 1 to 3 cm, as the hand turns.
     """
     for path in raised_hand_paths(joints, side):
-        if len(turning_points(path[:, 0], WIDE_STROKE)) >= WIDE_REVERSALS:
+        if len(turning_points(path[:, 0], stroke)) >= WIDE_REVERSALS:
             return True
         flicks = [turn for turn in turning_points(path[:, 0], FLICK_STROKE) if path[turn, 1] < BESIDE_SHOULDER]
         spans = np.subtract(flicks[FLICK_REVERSALS - 1 :], flicks[: 1 - FLICK_REVERSALS])
@@ -197,8 +200,11 @@ def raises(side: str) -> Predicate:
 
 
 def raises_beside(side: str) -> Predicate:
-    """Make a predicate: that wrist comes above the head and does not wave, whatever else the body does."""
-    return lambda joints: above_head(joints, side) and not hand_waves(joints, side)
+    """Make a predicate: that wrist, or both, comes above the head and does not wave, whatever else the body does."""
+    sides = [wrist for wrist in SIDES if side in (wrist, "both")]
+    return lambda joints: all(
+        above_head(joints, wrist) and not hand_waves(joints, wrist, MOVING_STROKE) for wrist in sides
+    )
 
 
 def swings(side: str) -> Predicate:
@@ -223,7 +229,8 @@ def waves(side: str) -> Predicate:
 
 def waves_beside(side: str) -> Predicate:
     """Make a predicate: that hand, or both, waves, whatever else the body does."""
-    return lambda joints: all(hand_waves(joints, wrist) for wrist in SIDES if side in (wrist, "both"))
+    sides = [wrist for wrist in SIDES if side in (wrist, "both")]
+    return lambda joints: all(hand_waves(joints, wrist, MOVING_STROKE) for wrist in sides)
 
 
 def all_of(*predicates: Predicate) -> Predicate:

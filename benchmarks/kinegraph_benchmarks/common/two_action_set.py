@@ -37,6 +37,7 @@ BESIDE = ALONE | {
     "wave-both-hands": p.waves_beside("both"),
     "raise-up-left-hand": p.raises_beside("left"),
     "raise-up-right-hand": p.raises_beside("right"),
+    "raise-up-both-hands": p.raises_beside("both"),
 }
 """The predicate of an action beside another one, which may use the other hand and the legs."""
 
