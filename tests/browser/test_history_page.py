@@ -152,3 +152,60 @@ def test_the_keyboard_is_told(open_page: Open, server: PlaygroundClient) -> None
     settings(page, seconds="1", steps="2")
     page.keyboard.press("Control+Enter")
     wait_until(page, lambda: clips_shown(page) == 1)
+
+
+def test_a_step_that_is_asked_for_while_a_clip_is_made_is_what_is_seen(
+    open_page: Open, server: PlaygroundClient
+) -> None:
+    page = open_page(server.url, 900, 620)
+    field = page.get_by_label("What should the person do?")
+    generate(page, "a person runs", seconds="1", seed="5", steps="2")
+    generate(page, "a person bows", seconds="1", seed="6", steps="2")
+    field.fill("a person walks forward and waves")
+    settings(page, seconds="9", steps="400")
+    page.get_by_role("button", name="Generate").click()
+    wait_until(page, lambda: page.locator(".cancel").is_visible())
+    before = shows(page)
+    page.locator("canvas").press("Control+z")  # the clip that was seen is what the step before made
+    wait_until(page, lambda: field.input_value() == "a person bows" and shows(page) > before)
+    page.locator("canvas").press("Control+z")
+    wait_until(page, lambda: seed_of(page) == "5")
+    assert field.input_value() == "a person runs" and page.locator(".status").inner_text().strip() == ""
+    assert page.locator("canvas").get_attribute("aria-label") == "a person runs"
+    assert clips_shown(page) == 2 and not page.locator(".cancel").is_visible()
+
+
+def test_a_link_that_is_opened_in_the_same_tab_waits_to_be_made(open_page: Open, server: PlaygroundClient) -> None:
+    page = open_page(server.url, 900, 620)
+    generate(page, "a person runs", seconds="1", seed="5", steps="2")
+    page.evaluate("location.hash = 'text=a+person+bows&seconds=1&seed=6&steps=2'")
+    field = page.get_by_label("What should the person do?")
+    wait_until(page, lambda: field.input_value() == "a person bows")
+    assert "Press Generate" in page.locator(".status").inner_text() and clips_shown(page) == 1
+    page.get_by_role("button", name="Generate").click()
+    wait_until(page, lambda: clips_shown(page) == 2 and seed_of(page) == "6")
+
+
+def test_a_take_is_one_of_what_is_seen_whatever_stands_in_the_form(open_page: Open, server: PlaygroundClient) -> None:
+    page = open_page(server.url, 900, 620)
+    field = page.get_by_label("What should the person do?")
+    generate(page, "a person runs", seconds="1", seed="5", steps="2")
+    page.locator("canvas").press("t")
+    wait_until(page, lambda: page.locator(".take").count() == 4)
+    field.fill("a person bows")
+    page.get_by_label("Take with seed 7").click()
+    wait_until(page, lambda: seed_of(page) == "7")
+    assert field.input_value() == "a person runs" and clips_shown(page) == 1
+    page.get_by_role("button", name="Undo").click()
+    wait_until(page, lambda: field.input_value() == "a person bows")  # what was typed is not lost
+
+
+def test_takes_that_are_asked_for_can_be_cancelled(open_page: Open, server: PlaygroundClient) -> None:
+    page = open_page(server.url, 900, 620)
+    generate(page, "a person walks forward", seconds="9", seed="5", steps="200")
+    page.locator("canvas").press("t")
+    wait_until(page, lambda: "Take 1" in page.locator(".status").inner_text())
+    assert page.locator(".cancel").is_visible()
+    page.locator("canvas").press("Escape")
+    wait_until(page, lambda: not page.locator(".cancel").is_visible())
+    assert page.locator(".status").inner_text().strip() == "" and not page.locator(".error").is_visible()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -64,6 +65,34 @@ def test_it_plays_pauses_and_slows_down(open_page: Open, tmp_path: Path) -> None
     began, clock = time_of(page), time.monotonic()
     wait_until(page, lambda: time_of(page) > began + 0.3)
     assert (time_of(page) - began) / (time.monotonic() - clock) < 0.6
+
+
+RESTS = """() => new Promise((resolve) => {
+  const canvas = document.querySelector("canvas");
+  const began = performance.now();
+  let [at, since, longest, rounds] = [-1, began, 0, 0];
+  const look = (now) => {
+    const time = Number(canvas.dataset.time);
+    if (time !== at) {
+      if (time < at) rounds += 1;
+      [at, since] = [time, now];
+    } else longest = Math.max(longest, now - since);
+    if (now - began < 8000 && rounds < 3) requestAnimationFrame(look);
+    else resolve([longest, rounds]);
+  };
+  requestAnimationFrame(look);
+})"""
+"""Longest time that nothing moves, milliseconds, and how often the clip began again; three times, or for 8 s."""
+
+
+@pytest.mark.parametrize("loops", [True, False])
+def test_a_loop_goes_round_without_a_rest(open_page: Open, tmp_path: Path, loops: bool) -> None:
+    (tmp_path / "loop.html").write_bytes(page_of([replace(clip(frames=21), loops=loops)]))
+    page = open_page((tmp_path / "loop.html").as_uri())
+    page.get_by_role("button", name="Play").click()
+    longest, rounds = page.evaluate(RESTS)
+    assert rounds >= 2
+    assert longest < 300 if loops else longest > 400
 
 
 def test_it_plays_by_itself_unless_less_motion_is_wished(open_page: Open, one: str) -> None:

@@ -2,24 +2,27 @@
 const TAB = crypto.getRandomValues(new Uint32Array(2)).join("-");
 
 /** The token of a playground that other devices may use: from the link, which then forgets it, and kept by the tab. */
-const TOKEN = (() => {
+let token = readToken();
+addEventListener("hashchange", () => (token = readToken() ?? token)); // a link that is opened in this tab loads nothing
+
+function readToken() {
   const given = new URLSearchParams(location.hash.slice(1));
-  const token = given.get("token");
+  const said = given.get("token");
   try {
-    if (token === null) return sessionStorage.getItem("kinegraph-token");
-    sessionStorage.setItem("kinegraph-token", token);
+    if (said === null) return sessionStorage.getItem("kinegraph-token");
+    sessionStorage.setItem("kinegraph-token", said);
   } catch {
     // without storage it lasts until the page is reloaded
   }
   given.delete("token");
   history.replaceState(null, "", given.size ? `#${given}` : location.pathname);
-  return token;
-})();
+  return said;
+}
 
 async function post(path, value, signal, body = JSON.stringify(value), kind = "application/json") {
   let answer;
   try {
-    const headers = { "Content-Type": kind, "Kinegraph-Tab": TAB, ...(TOKEN && { Authorization: `Bearer ${TOKEN}` }) };
+    const headers = { "Content-Type": kind, "Kinegraph-Tab": TAB, ...(token && { Authorization: `Bearer ${token}` }) };
     answer = await fetch(path, { method: "POST", body, signal, headers });
   } catch (error) {
     if (error.name === "AbortError") throw error;

@@ -20,12 +20,15 @@ export function createCharacters(box, dropping, most, on) {
   async function use(file) {
     if (!SUFFIX.test(file.name)) return on.fail(new Error(`${file.name} is no .glb or .vrm file.`));
     if (file.size > most) return on.fail(new Error(`${file.name} is larger than ${most >> 20} MiB; make its textures smaller.`));
+    const data = await file.arrayBuffer();
     const before = current;
-    current = { name: file.name, data: await file.arrayBuffer() };
+    const own = (current = { name: file.name, data });
     show();
-    if (await on.changed()) return keptFile.save(current);
+    const fits = await on.changed();
+    if (current !== own) return; // another was chosen meanwhile
+    if (fits) return keptFile.save(own);
     current = before; // it could not be used
-    return show();
+    show();
   }
 
   choose.addEventListener("click", () => input.click());

@@ -15,6 +15,7 @@ export function createGraphEditor(side, text, play, { again, fail, marks }) {
   let shown = true;
   let timer = 0;
   let asked = null;
+  let editing = false; // an edit is with the server: numbers of nodes are about to change
 
   const current = () => graph !== null && source === text.value.trim();
 
@@ -44,6 +45,7 @@ export function createGraphEditor(side, text, play, { again, fail, marks }) {
   }
 
   function weigh(number, weight) {
+    if (!current() || editing) return; // what is drawn belongs to other words, or is about to change
     graph = withWeight(graph, number, weight);
     edited = true;
     reset.hidden = false;
@@ -51,13 +53,20 @@ export function createGraphEditor(side, text, play, { again, fail, marks }) {
   }
 
   async function change(edit) {
+    if (!current() || editing) return;
+    const own = graph;
+    editing = true;
     try {
-      set(await api.edit(graph, edit), true);
+      const found = await api.edit(own, edit);
+      if (graph !== own || !current()) return; // other words by now
+      set(found, true);
       focus(edit);
       fail(null);
       again();
     } catch (error) {
       fail(error);
+    } finally {
+      editing = false;
     }
   }
 

@@ -75,6 +75,12 @@ export function createMaker(on) {
       return run !== null;
     },
     cancel: () => run?.abort(),
+    /** Give way to something else that is shown: what was seen before is not shown again. */
+    giveWay() {
+      run?.abort();
+      run = null;
+      say("");
+    },
     say,
     /**
      * Make the clip of a wish; one that is under way gives way. One that only `changes` the last plays on from where
@@ -119,8 +125,8 @@ export function createMaker(on) {
       }
     },
     /** The last event of a clip that is made without being shown. */
-    async quietly(wish) {
-      for await (const event of api.clip(wish)) {
+    async quietly(wish, signal) {
+      for await (const event of api.clip(wish, signal)) {
         if (event.event === "error") throw new Error(event.message);
         if (event.event === "clip") return event;
       }

@@ -8,7 +8,7 @@ export const COPIED = 1500; // milliseconds that a button says so
 
 /**
  * @param facts of the bundle: {files, named}
- * @param on {shape(shape), output(output), fetch(suffix) -> Blob, fail(error)}
+ * @param on {shape(shape), output(output), fetch(suffix) -> Blob, fail(error), say(text)}
  */
 export function createOutput(box, facts, on) {
   const field = (name) => box.querySelector(`[name=${name}]`);
@@ -27,20 +27,27 @@ export function createOutput(box, facts, on) {
   /** The name of a file says what is in it. */
   function named(suffix) {
     const { fps: rate } = output();
-    const parts = [fileName(seen.clip), ...Object.keys(shape()), ...(rate ? [`${rate}fps`] : [])];
+    const shaped = ["loop", "in_place"].filter((name) => seen.wish[name]);
+    const parts = [fileName(seen.clip), ...shaped, ...(rate ? [`${rate}fps`] : [])];
     if (seen.character && suffix === ".glb") parts.push(seen.character.replace(/\.\w+$/, "").replace(/[^\p{L}\p{N}]+/gu, "_"));
     return parts.join("_") + suffix;
   }
 
-  async function download(suffix) {
+  async function download(suffix, button) {
+    const name = named(suffix); // of what is seen now
+    button.disabled = true;
+    on.say(`Writing ${name}`);
     try {
       const url = URL.createObjectURL(await on.fetch(suffix));
-      element("a", { href: url, download: named(suffix) }).click();
+      element("a", { href: url, download: name }).click();
       setTimeout(() => URL.revokeObjectURL(url), 10_000);
       on.fail(null);
     } catch (error) {
       on.fail(error);
     }
+    on.say("");
+    button.disabled = false;
+    button.focus();
   }
 
   function write() {
@@ -52,7 +59,7 @@ export function createOutput(box, facts, on) {
 
   downloads.append(
     ...facts.files.map((suffix) =>
-      element("button", { type: "button", "data-suffix": suffix, onclick: () => download(suffix) }, suffix.slice(1).toUpperCase()),
+      element("button", { type: "button", "data-suffix": suffix, onclick: (event) => download(suffix, event.currentTarget) }, suffix.slice(1).toUpperCase()),
     ),
   );
   tabs.append(
@@ -89,7 +96,7 @@ export function createOutput(box, facts, on) {
 
 /** Copy text, and say so on the button; without the right to, it is selected for the reader. */
 export async function copied(button, text) {
-  const said = button.textContent;
+  const said = (button.dataset.said ??= button.textContent); // not what the last press says
   const done = await (navigator.clipboard?.writeText(text) ?? Promise.reject()).then(() => true, () => false);
   button.textContent = done ? "Copied" : "Press Ctrl+C";
   if (!done) {

@@ -60,6 +60,8 @@ export async function openPlayground(side, play, stage, transport, clock) {
   let shows = 0; // how often something was to be shown
   let asked = 0; // how often a clip or a step was asked for
   let dressing = null; // AbortController of a character for a step
+  let choosing = null; // AbortController of a character that was chosen
+  let taking = null; // AbortController of takes in the making
 
   const fail = (error) => {
     at(".error").hidden = !error;
@@ -76,7 +78,7 @@ export async function openPlayground(side, play, stage, transport, clock) {
   const words = createWords(at(".words"), field.text, play.phrases, say);
   const result = createResult(at(".result"), () => linkOf(wishOf(seen, seed), project.output));
   const takes = createTakes(at(".takes"), { pick, more }, drawTake);
-  const output = createOutput(at(".export"), play, { shape, output: files, fetch: fetchFile, fail });
+  const output = createOutput(at(".export"), play, { shape, output: files, fetch: fetchFile, fail, say: (text) => maker.running || maker.say(text) });
   const characters = createCharacters(at(".character"), at(".dropping"), play.character_bytes, { changed: dress, fail, project: (file) => projectFiles.open(file) });
   const timeline = createTimeline(at(".timeline"), play.seconds, { read: () => read(), select, change, add, seek: transport.seek });
   clock.addEventListener("time", (event) => timeline.at((time = event.detail)));
@@ -219,7 +221,8 @@ export async function openPlayground(side, play, stage, transport, clock) {
   async function go(entry, changes = false) {
     if (!entry) return;
     asked += 1;
-    maker.cancel();
+    maker.giveWay();
+    choosing?.abort();
     project = entry.project;
     selected = Math.min(selected, project.segments.length - 1);
     const event = made.get(JSON.stringify(wishOf(project, entry.seed)));
@@ -303,26 +306,40 @@ export async function openPlayground(side, play, stage, transport, clock) {
 
   // -- takes --------------------------------------------------------------------------------------------------------
 
+  /** A take of what is seen; other words that stand in the form are a step to go back to. */
   function pick(own) {
-    const next = read();
-    if ("seed" in next.sampling) next.sampling.seed = own;
-    history.push({ project: next, seed: own });
+    const typed = read();
+    const same = kindOf(typed) === kindOf(seen);
+    if (!same) history.push({ project: typed });
+    const of = same ? typed : { ...seen, output: project.output };
+    const sampling = { ...of.sampling, ...("seed" in of.sampling && { seed: own }) };
+    history.push({ project: { ...of, sampling }, seed: own });
     return go(history.now);
   }
 
+  /** More takes of what is seen. */
   async function more(seeds) {
-    const [kind, of] = [kindOf(project), project];
+    const [kind, of, own] = [kindOf(seen), seen, (taking = new AbortController())];
+    const say = (...words) => maker.running || maker.say(...words); // a clip in the making is told of first
+    at(".cancel").hidden = false;
     try {
-      for (const [index, own] of seeds.entries()) {
-        maker.say(`Take ${index + 1} of ${seeds.length}`, index / seeds.length);
-        const event = await maker.quietly(wishOf(of, own));
-        remember(wishOf(of, own), event);
-        await takes.add(kind, own, event);
+      for (const [index, next] of seeds.entries()) {
+        say(`Take ${index + 1} of ${seeds.length}`, index / seeds.length);
+        const event = await maker.quietly(wishOf(of, next), own.signal);
+        remember(wishOf(of, next), event);
+        takes.add(kind, next, event);
       }
     } catch (error) {
-      fail(error);
+      if (error.name !== "AbortError") fail(error);
     }
-    maker.say("");
+    taking = null;
+    say("");
+    if (!maker.running) busy(false);
+  }
+
+  function cancel() {
+    maker.cancel();
+    taking?.abort();
   }
 
   /** When nothing else is to be drawn: a picture takes as long as a frame of the clip. */
@@ -361,9 +378,13 @@ export async function openPlayground(side, play, stage, transport, clock) {
   /** Another character, or none: what is seen is seen on it. False if it cannot be used. */
   async function dress() {
     if (!newest) return true;
+    choosing?.abort(); // another was chosen, or none
+    const own = (choosing = new AbortController());
     maker.say("Putting it on", 0.5);
     try {
-      const actor = await show({ ...newest, label: named(newest, wishOf(seen, seed)) }, false, await dressed(newest));
+      const character = await dressed(newest, own.signal);
+      if (own.signal.aborted) return true;
+      const actor = await show({ ...newest, label: named(newest, wishOf(seen, seed)) }, false, character);
       if (actor) {
         shown = actor;
         output.show(newest, wishOf(seen, seed), characters.current?.name ?? null);
@@ -372,10 +393,14 @@ export async function openPlayground(side, play, stage, transport, clock) {
       fail(null);
       return true;
     } catch (error) {
+      if (own.signal.aborted) return true;
       fail(error);
       return false;
     } finally {
-      maker.say("");
+      if (choosing === own) {
+        choosing = null;
+        maker.say("");
+      }
     }
   }
 
@@ -400,7 +425,7 @@ export async function openPlayground(side, play, stage, transport, clock) {
     const changes = isSequence(next) && seed !== null && !made.has(JSON.stringify(wishOf(next, seed)));
     make(next, changes ? { changes, own: sameSeed(next) } : {});
   });
-  at(".cancel").addEventListener("click", maker.cancel);
+  at(".cancel").addEventListener("click", cancel);
   at(".keep").addEventListener("click", () => {
     kept.push(shown);
     busy(false);
@@ -423,7 +448,7 @@ export async function openPlayground(side, play, stage, transport, clock) {
     at("dialog.keys"),
     [
       { key: "Enter", ctrl: true, inFields: true, say: "Generate", act: () => form.element.requestSubmit() },
-      { key: "Escape", inFields: true, say: "Cancel", act: () => constraining.cancel() || (maker.running ? maker.cancel() : false) },
+      { key: "Escape", inFields: true, say: "Cancel", act: () => constraining.cancel() || (maker.running || taking ? cancel() : false) },
       { key: "/", say: "To the sentence", act: () => field.text.focus() },
       { key: "f", say: "Search known words", act: words.search },
       { key: "z", ctrl: true, shift: false, say: "Undo", act: undo },
@@ -447,8 +472,24 @@ export async function openPlayground(side, play, stage, transport, clock) {
   );
   at(".help").addEventListener("click", keys.show);
 
+  addEventListener("hashchange", () => {
+    const found = linked();
+    const link = found && stepOf(found);
+    if (!link) return;
+    history.push(link);
+    wait(link, "Press Generate to make what the link says"); // another page may have opened it in this tab
+  });
   characters.restore(file);
   begin();
+
+  /** A step in the form that is made when it is asked for. */
+  function wait(step, said) {
+    project = step.project;
+    selected = 0;
+    form.fill(project, 0);
+    output.fill(project);
+    maker.say(said);
+  }
 
   /** What a link says, as a step; null for a link that says nothing of ours. */
   function stepOf({ wish, output: shape }) {
@@ -471,12 +512,8 @@ export async function openPlayground(side, play, stage, transport, clock) {
     else if (!had) history.push({ project, ...(play.opening && { seed: play.opening.seed }) });
     const { now } = history;
     // Another page may open a link, and may not drive this one: then it is made when it is asked for.
-    if (play.waits || !now.seed && !link) {
-      project = now.project;
-      form.fill(project, 0);
-      output.fill(project);
-      maker.say(link ? "Press Generate to make what the link says" : "Press Generate to make it");
-    } else go(now);
+    if (play.waits || !now.seed && !link) wait(now, link ? "Press Generate to make what the link says" : "Press Generate to make it");
+    else go(now);
     if (matchMedia("(pointer: fine)").matches) field.text.focus();
   }
 }

@@ -230,6 +230,11 @@ export function createStage(view) {
       canvas.setAttribute("aria-label", actors.map(({ clip }) => clip.text).join("; ") || "No clip yet");
       paint();
     },
+    /** Whether everything that is seen comes back to its first frame, at the same time. */
+    get loops() {
+      const clips = panes.flatMap(({ actor }) => actor ?? []);
+      return clips.length > 0 && clips.every((actor) => actor.clip.loops && actor.duration === this.duration);
+    },
     /** Seconds of the longest clip. */
     get duration() {
       return Math.max(0, ...panes.map(({ actor }) => actor?.duration ?? 0));

@@ -26,9 +26,11 @@ export function createTransport(box, stage, ontime = () => {}) {
 
   function tick(now) {
     if (!playing) return;
-    const next = time + ((now - last) / 1000) * Number(speed.value);
+    const rate = Number(speed.value);
+    const next = time + ((now - last) / 1000) * rate;
     last = now;
-    place(next > stage.duration + HOLD ? 0 : next);
+    if (stage.loops) place(next % stage.duration); // the last frame is the first again
+    else place(next > stage.duration + HOLD * rate ? 0 : next);
     requestAnimationFrame(tick);
   }
 

@@ -46,6 +46,7 @@ def clip_record(clip: Clip) -> dict[str, Any]:
         "seed": str(clip.seed),  # JavaScript would round it above 2**53
         "fps": clip.fps,
         "frames": clip.frames,
+        "loops": clip.loops,
         "bundle": clip.bundle,
         "graph": None if clip.graph is None else clip.graph.to_dict(),
         "unknown": [words.to_dict() for words in clip.unknown],
