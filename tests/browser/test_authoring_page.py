@@ -213,3 +213,17 @@ def is_grasped(page: Page, x: float, y: float) -> bool:
     """Tell whether a press there would take hold of something."""
     page.mouse.move(x, y)
     return page.locator(".view.grab").count() > 0
+
+
+def test_nothing_is_placed_by_a_clip_that_goes_nowhere(open_page: Open, server: PlaygroundClient) -> None:
+    page = open_page(server.url)
+    generate(page, "a person walks forward", seconds="2", seed="3", steps="2")
+    page.get_by_label("In place").check()
+    wait_made(page, 2)
+    page.get_by_role("button", name="Waypoint").click()
+    wait_until(page, lambda: "In place off" in page.locator(".status").inner_text())
+    assert pins(page) == []
+    page.get_by_label("In place").uncheck()
+    wait_made(page, 3)
+    page.get_by_role("button", name="Waypoint").click()
+    wait_until(page, lambda: len(pins(page)) == 1)

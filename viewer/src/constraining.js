@@ -30,6 +30,13 @@ export function createConstraining(box, view, stage, facts, on) {
     if (selected >= 0) on.selected();
   }
 
+  /** Whether the clip that is seen is the one that constraints are for: they hold before it is looped or put in place. */
+  function isPlain() {
+    const { loop, in_place: inPlace } = on.project().shape;
+    if (loop || inPlace) on.say("Switch Loop and In place off first: pins belong to the clip before that");
+    return !loop && !inPlace;
+  }
+
   function add(constraint) {
     if (all().length >= MOST) return;
     on.change([...all(), constraint], true);
@@ -68,11 +75,13 @@ export function createConstraining(box, view, stage, facts, on) {
   }
 
   async function addWaypoint() {
+    if (!isPlain()) return;
     const [[x, , z]] = await joints(["pelvis"], on.time());
     add({ type: "waypoint", seconds: on.now(), position: place([x, z]) });
   }
 
   async function pinJoint(joint) {
+    if (!isPlain()) return;
     const [position] = await joints([joint], on.time());
     add({ type: "joint", joint, position: place(position), seconds: on.now() });
   }
@@ -80,11 +89,13 @@ export function createConstraining(box, view, stage, facts, on) {
   const pose = async (time) => (await joints(facts.joints, time)).map(place);
 
   async function pinPose() {
+    if (!isPlain()) return;
     add({ type: "keyframe", seconds: on.now(), joints: await pose(on.time()) });
   }
 
   /** The pose that is seen now, with its velocity, as the first or last of the clip. */
   async function pinEnd(type) {
+    if (!isPlain()) return;
     const { fps, frames } = on.clip();
     const first = Math.min(Math.round(on.time() * fps), Math.max(frames - POSE_FRAMES, 0));
     const poses = [];
@@ -95,6 +106,7 @@ export function createConstraining(box, view, stage, facts, on) {
   }
 
   function pencil() {
+    if (!isPlain()) return null;
     if (room.drawing) {
       room.pencil(false);
       return wayNow();
