@@ -25,6 +25,8 @@ from kinegraph.validation import finite_number, short_repr
 
 METHODS: Final = ("latent", "semantic", "fused")
 """Ways to compose in one run (Eq. 7-10)."""
+AUTO: Final = "auto"
+"""`PARTS` where concepts are for different parts of the body and nothing is weighed, else "fused"."""
 PARTS: Final = "parts"
 """Each concept sampled alone, and its parts of the body joined (`part_composition`)."""
 DEFAULT_LAMBDAS: Final = (0.3, 0.3, 0.4)
@@ -154,8 +156,9 @@ def validate_composition(concepts: object, method: object, text: Any, lambdas: o
             "fused", shares that are no three numbers from 0 to 1 with sum 1, weights that Eq. 9 cannot divide by, or
             step sizes that are no two numbers from 0 to 1.
     """
-    if not isinstance(method, str) or method not in (*METHODS, PARTS):
-        raise InvalidInputError(f"method must be one of {', '.join((*METHODS, PARTS))}, not {short_repr(method)}")
+    if not isinstance(method, str) or (method not in METHODS and method != PARTS):
+        known = ", ".join((AUTO, *METHODS, PARTS))
+        raise InvalidInputError(f"method must be one of {known}, not {short_repr(method)}")
     if method == PARTS:
         raise InvalidInputError(f"method {PARTS!r} samples each concept alone, and has no energy; take another method")
     checked = validate_concepts(concepts)

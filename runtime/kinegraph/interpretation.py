@@ -16,7 +16,7 @@ nothing but `InvalidGraphError`.
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import replace
 from itertools import pairwise
 from typing import Final
@@ -214,6 +214,18 @@ def _ordered(graph: SemanticGraph) -> SemanticGraph:
 
 
 # Other words
+
+
+def with_words(graph: SemanticGraph, words: Mapping[tuple[int, int], str]) -> SemanticGraph:
+    """Put other words in the place of some, by their spans: (start, end) -> word.
+
+    Raises:
+        InvalidGraphError: the caption becomes longer than allowed.
+    """
+    pieces = Pieces(graph)
+    replaced = {pieces.within(*span)[0]: word for span, word in words.items() if len(pieces.within(*span)) == 1}
+    items = [Item(replaced.get(index, piece.text), index) for index, piece in enumerate(pieces.pieces)]
+    return write(pieces, graph.actions, items)
 
 
 def known_wording(graph: SemanticGraph) -> SemanticGraph:

@@ -17,6 +17,7 @@ from kinegraph.errors import InvalidInputError
 from kinegraph.graph import SemanticGraph
 from kinegraph.motion.body_parts import choose_parts, join_parts
 from kinegraph.options import GenerateOptions
+from kinegraph.request import of_separate_parts
 from kinegraph.validation import short_repr
 
 if TYPE_CHECKING:
@@ -46,6 +47,34 @@ def check_parts(concepts: object, unused: Mapping[str, object]) -> tuple[Concept
     return checked
 
 
+def choose_method(
+    pipe: MotionPipeline, concepts: object, given: Mapping[str, object]
+) -> tuple[str, tuple[Concept, ...]]:
+    """Choose how to compose where the call does not say: by parts of the body if they are different ones.
+
+    All of them happen in every clip of a gait and gestures so, and in a half or a tenth in one run (studio 0.9.0,
+    `kinegraph_benchmarks.quality.composition`).
+
+    Args:
+        pipe: the bundle.
+        concepts: sentences, graphs or `Concept`s.
+        given: arguments of `compose` that parts have no use for, by name; None where they are not given.
+
+    Returns:
+        "parts" where no argument is given, two concepts or more have the weight 1 each, and all but one are for hands
+        and arms of their own (`request.of_separate_parts`), else "fused"; and the concepts with their graphs.
+
+    Raises:
+        InvalidInputError: see `validate_concepts`.
+    """
+    checked = validate_concepts(concepts)
+    plain = len(checked) > 1 and all(concept.weight == 1 for concept in checked)
+    if not plain or any(value is not None for value in given.values()):
+        return "fused", checked
+    read = tuple(replace(concept, text=pipe.as_graph(concept.text)) for concept in checked)
+    return (PARTS if of_separate_parts([concept.text for concept in read]) else "fused"), read  # type: ignore[misc]
+
+
 def compose_parts(
     pipe: MotionPipeline,
     concepts: Sequence[Concept],
@@ -54,7 +83,8 @@ def compose_parts(
     on_step: OnStep | None,
     *,
     own_length: bool,
-) -> Clip:
+    may_leave_out: bool,
+) -> Clip | None:
     """Sample each concept alone, from the same seed, and join the parts of the body that each does most with.
 
     Args:
@@ -64,9 +94,10 @@ def compose_parts(
         sampling: keywords of `MotionPipeline.generate`: steps, guidance and so on.
         on_step: called after every step of every concept.
         own_length: whether the concepts tell the length of the clip, as in `MotionPipeline.compose`.
+        may_leave_out: whether a concept may have no part of the body.
 
     Returns:
-        The clip; a note tells of a concept that has no part of the body.
+        The clip; a note tells of a concept that has no part. None if there is one, and there may not be.
 
     Raises:
         Cancelled, NonFiniteError: as in `MotionPipeline.generate`.
@@ -86,6 +117,8 @@ def compose_parts(
     ]
     chosen = choose_parts([clip.joints for clip in clips])
     left_out = [concept.caption for index, concept in enumerate(concepts) if index not in chosen.values()]
+    if left_out and not may_leave_out:
+        return None
     told = [f"{caption!r}: the others do more with every part of the body, so it is left out" for caption in left_out]
     joined, joint = join_clips(clips, chosen), joint_caption(concepts)
     text = joint.caption if isinstance(joint, SemanticGraph) else joint

@@ -32,7 +32,7 @@ from kinegraph.bundle.tables import bones_of
 from kinegraph.bundle.vocabulary import Vocabulary
 from kinegraph.clip import Clip
 from kinegraph.concat_denoising import ConcatSampler
-from kinegraph.concepts import PARTS, CompositionSpec, Concept, SamplingPlan, validate_composition
+from kinegraph.concepts import AUTO, PARTS, CompositionSpec, Concept, SamplingPlan, validate_composition
 from kinegraph.conditioning import ConditionEncoder, Conditions, GraphArrays, repeat_rows
 from kinegraph.decoding import MotionDecoder
 from kinegraph.denoising import LatentSampler, OnLatent
@@ -40,7 +40,7 @@ from kinegraph.diffusion.composition import CompositionWeights
 from kinegraph.diffusion.sampling import OnStep, subrange_progress
 from kinegraph.errors import InvalidGraphError, InvalidInputError, ModelError, UnknownWordsError
 from kinegraph.graph import SemanticGraph
-from kinegraph.interpretation import split_at_once, with_actions
+from kinegraph.interpretation import split_at_once, with_actions, with_words
 from kinegraph.limits import MAX_CONCEPTS, MAX_PARTS, MAX_SHARED, MAX_TAKES
 from kinegraph.motion.blending import blend_margins, stitch
 from kinegraph.options import (
@@ -77,7 +77,7 @@ from kinegraph.request import (
 from kinegraph.slot_conditioning import SlotEncoder
 from kinegraph.text.parser import LazyParser, check_caption
 from kinegraph.text.tokenizer import CaptionTokenizer
-from kinegraph.text.vocabulary import find_seldom, find_unknown
+from kinegraph.text.vocabulary import find_seldom, find_slips, find_unknown
 from kinegraph.unknown import Unknown, describe_unknown
 from kinegraph.validation import check_callback, check_flag, short_repr
 
@@ -546,7 +546,7 @@ class MotionPipeline:
         self,
         concepts: Sequence[Concept | str | SemanticGraph],
         *,
-        method: str = "fused",
+        method: str = AUTO,
         text: str | SemanticGraph | None = None,
         lambdas: tuple[float, float, float] | None = None,
         agd: tuple[float, float] | None = None,
@@ -574,7 +574,9 @@ class MotionPipeline:
                 with the joint text (Eq. 10) and takes away what is negated (Eq. 8). "parts" samples each concept alone
                 and joins legs, trunk and arms of those that do most with them (`part_composition`): surest where they
                 move different parts of the body. It takes weights of 1 alone, no text, lambdas, agd or constraints,
-                and calls no on_level.
+                and calls no on_level. "auto" is "parts" where that is so: nothing of these is given, and all concepts
+                but one are of hands and arms, each of its own ("walks", "raises the left hand", "waves the right
+                hand"), and each does most with a part of the body; else "fused".
             text: the joint text of "fused"; None joins the positive concepts with "while".
             lambdas: of "fused": shares of latent, semantic and joint text; default (0.3, 0.3, 0.4).
             agd: step sizes (gamma_attn, gamma_reg) of adaptive gradient descent (Eq. 3, 4), each 0 to 1: EnergyMoGen
@@ -589,17 +591,27 @@ class MotionPipeline:
             Cancelled, NonFiniteError: as in `generate`.
         """
         deadline = check_call(timeout, on_step, on_level, strict=strict)
+        is_held = constraints is not None and not (isinstance(constraints, list | tuple) and not constraints)
+        unused = {"text": text, "lambdas": lambdas, "agd": agd, "constraints": constraints if is_held else None}
+        is_auto = isinstance(method, str) and method == AUTO
+        if is_auto:
+            from kinegraph.part_composition import choose_method
+
+            method, concepts = choose_method(self, concepts, unused)
         if isinstance(method, str) and method == PARTS:
             from kinegraph.part_composition import check_parts, compose_parts
 
-            unused = {"text": text, "lambdas": lambdas, "agd": agd, "constraints": constraints or None}
             checked = [replace(each, text=self.as_graph(each.text)) for each in check_parts(concepts, unused)]
             unknown = self.find_unknown(*(concept.text for concept in checked), strict=strict)
             sampling: dict[str, Any] = {"steps": steps, "guidance": guidance, "foot_fix": foot_fix, "space": space}
             options = resolve_options(self.manifest, seconds=seconds, seed=seed, **sampling)
             own_length, watch = seconds is None, deadline.watch(on_step)
-            made = compose_parts(self, checked, options, sampling, watch, own_length=own_length)
-            return replace(made, unknown=unknown)
+            made = compose_parts(
+                self, checked, options, sampling, watch, own_length=own_length, may_leave_out=not is_auto
+            )
+            if made is not None:
+                return replace(made, unknown=unknown)
+            method, seed = "fused", options.seed  # one does more than another with all that is that one's
         spec = validate_composition(concepts, method, text, lambdas, agd)
         options = resolve_options(
             self.manifest, seconds=seconds, seed=seed, steps=steps, guidance=guidance, foot_fix=foot_fix, space=space
@@ -894,7 +906,8 @@ class MotionPipeline:
     ) -> tuple[SamplingPlan, list[GraphArrays], GenerateOptions, tuple[str, ...]]:
         """Parse and interpret what is composed, see `encode_composition`; its features are not yet attended."""
         self.sampler.validate_composition(spec.lambdas, spec.agd)
-        graphs = [self.as_graph(text) for text in spec.texts]
+        read = [self._spelled(self.as_graph(text)) for text in spec.texts]
+        graphs, slips = [graph for graph, _ in read], [slip for _, told in read for slip in told]
         said = None if own_length else options.seconds
         asked = interpret_composition(spec, graphs, self.manifest, self.vocabulary, said)
         plan = SamplingPlan.for_composition(asked.spec, asked.graphs)
@@ -902,7 +915,18 @@ class MotionPipeline:
             options = with_seconds(options, self.manifest, asked.seconds)
         options = replace(options, turn=asked.turn)
         features, options = self._encode(plan, options, own_length=own_length and asked.seconds is None)
-        return plan, features, options, asked.notes
+        return plan, features, options, tuple(dict.fromkeys((*slips, *asked.notes)))
+
+    def _spelled(self, graph: SemanticGraph) -> tuple[SemanticGraph, tuple[str, ...]]:
+        """Spell the words of a graph as they are read, and tell which were not: "rusn" is "runs"."""
+        slips = {} if self.vocabulary is None else find_slips(graph, self.vocabulary, self.encoder)
+        try:
+            spelled = with_words(graph, slips) if slips else graph
+        except InvalidGraphError:  # no room for a longer word
+            return graph, ()
+        return spelled, tuple(
+            f"{graph.caption[start:end]!r} is read as {word!r}" for (start, end), word in slips.items()
+        )
 
     def as_graph(self, text: str | SemanticGraph) -> SemanticGraph:
         """Return a graph as it is, and parse a sentence."""
@@ -960,7 +984,8 @@ class MotionPipeline:
 
         The length of what is not known is a guess, and at most the default length.
         """
-        request = interpret(graph, self.manifest, self.vocabulary, None if own_length else options.seconds)
+        spelled, slips = self._spelled(graph)
+        request = interpret(spelled, self.manifest, self.vocabulary, None if own_length else options.seconds)
         if request.wanted == STANDING and self.find_unknown(STANDING):
             request = replace(request, negated=(), notes=(*request.notes, NEVER_STOOD))
         if request.seconds is not None:
@@ -970,7 +995,7 @@ class MotionPipeline:
         if not is_known and sized.frames > options.frames:
             sized = options
         sized = replace(sized, turn=request.turn)
-        notes = (*request.notes, *self._notes_of(request.wanted))
+        notes = (*slips, *request.notes, *self._notes_of(request.wanted))
         return _EncodedPart(self.encoder, graph, plan, features, sized, notes, request.is_timed)
 
     def _encode_sentence(

@@ -85,6 +85,11 @@ _DISTANCE: Final = re.compile(
 )
 """How far somebody goes."""
 _HAND: Final = re.compile(r"\b(left|right) (?:hand|arm|fist|wrist|elbow|forearm)\b", re.IGNORECASE)
+_GESTURE: Final = re.compile(r"(?:wav|clap|point|salut|beckon|applaud)\w*", re.IGNORECASE)
+"""Verbs of hands and arms."""
+_MOVING: Final = re.compile(r"(?:rais|lift|hold|put|stretch|extend|spread|swing)\w*", re.IGNORECASE)
+"""Verbs that are of hands and arms where they name them."""
+_ARMS: Final = re.compile(r"\b(?:(left|right) )?(hand|arm)(s?)\b", re.IGNORECASE)
 SECONDS_PER_STEP: Final = 0.55
 """Length that one step of a walk takes."""
 _TOLD: Final = re.compile(r"(?:an?|the|one|some(?:one|body)|he|she|it|they)\b", re.IGNORECASE)
@@ -281,6 +286,27 @@ def parts_hands(graph: SemanticGraph) -> bool:
     acting = [action for action in graph.actions if not action.negated and action.weight > 0]
     one_sided = [side for side in map(sides, acting) if len(side) == 1]
     return len(set().union(*one_sided)) == 2
+
+
+def of_separate_parts(graphs: Sequence[SemanticGraph]) -> bool:
+    """Tell whether at most one of several graphs is for more than hands and arms, and no hand is for two of them."""
+    arms = [_arms_of(graph) for graph in graphs]
+    taken = [side for sides in arms if sides is not None for side in sides]
+    return sum(sides is None for sides in arms) <= 1 and len(taken) == len(set(taken))
+
+
+def _arms_of(graph: SemanticGraph) -> frozenset[str] | None:
+    """Return the sides of the arms that a graph is for; None if it is for more than arms."""
+    sides: set[str] = set()
+    if not graph.actions or any(action.negated for action in graph.actions):
+        return None
+    for action in graph.actions:
+        named = [found for node in action.arguments for found in _ARMS.finditer(node.text)]
+        if not (_GESTURE.fullmatch(action.text) or (named and _MOVING.fullmatch(action.text))):
+            return None
+        own = {found[1].lower() for found in named if found[1] and not found[3]}
+        sides |= own or {"left", "right"}
+    return frozenset(sides)
 
 
 def turn_of(graphs: Sequence[SemanticGraph], weights: Sequence[float] | None = None) -> Turn | None:

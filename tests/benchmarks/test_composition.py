@@ -57,7 +57,7 @@ def test_every_method_asks_for_something_else() -> None:
         composition.generate_together(pipe, PAIRS[0], method, 2)
         assert len(pipe.asked) == 2
         asked.add(tuple(pipe.asked))
-    assert len(asked) == 6
+    assert len(asked) == 7
 
 
 def test_rates_are_those_of_the_clips() -> None:
@@ -83,7 +83,7 @@ def test_a_curve_that_rises_with_the_weight_is_met(monkeypatch: pytest.MonkeyPat
     monkeypatch.setattr(composition, "CURVES", (rising, flat))
     pipe: Any = Fake()
     found = composition.measure_curves(pipe, 3)
-    assert [row["met"] for row in found["latent"]["curves"]] == [True, False] and found["default"]["met"] == 1
+    assert [row["met"] for row in found["latent"]["curves"]] == [True, False] and found["fused"]["met"] == 1
     row = found["semantic"]["curves"][0]
     assert row["spearman"] == 1.0 and row["spread"] == pytest.approx(0.01, rel=1e-3)
     assert row["moved"] == pytest.approx(1.9 / 0.01, rel=1e-3)

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from kinegraph import Cancelled, Concept, InvalidInputError, MotionPipeline, cli
+from kinegraph import Cancelled, Concept, InvalidInputError, MotionPipeline, cli, part_composition
 from kinegraph.constraints import Waypoint
 from kinegraph.edits import with_weight
 from kinegraph.energy import energy_maps
@@ -29,7 +29,7 @@ from kinegraph.motion.body_parts import (
 )
 from kinegraph.motion.skeleton import JOINT_INDEX, bone_lengths
 from kinegraph.options import resolve_options
-from kinegraph.part_composition import join_clips
+from kinegraph.part_composition import choose_method, join_clips
 from kinegraph.request import MANY_AT_ONCE, parts_hands
 from support.motions import posed, stand, turn, walk
 from support.toy import with_parser
@@ -211,11 +211,54 @@ def test_constraints_and_weights_sample_three_at_once(toy: MotionPipeline, monke
     assert MANY_AT_ONCE in held.notes and MANY_AT_ONCE in weighed.notes
 
 
+@pytest.mark.parametrize(
+    ("concepts", "method"),
+    [
+        (["a person walks forward", "a person raises the left hand", "a person waves the right hand"], "parts"),
+        (["a person runs", "a person claps"], "parts"),
+        (["a person raises the left hand", "a person waves the right hand"], "parts"),
+        (["a person walks", "a person waves both hands"], "parts"),
+        (["a person raises both hands", "a person waves the right hand"], "fused"),  # one hand for two
+        (["a person walks", "a person turns left"], "fused"),
+        (["a person walks", "a person bows"], "fused"),
+        (["a person walks with the hands up", "a person turns left"], "fused"),
+        (["a person walks", "a person puts on a coat"], "fused"),
+        (["a person walks", "a person does not wave"], "fused"),
+        ([Concept("a person walks"), Concept("a person waves", 0.5)], "fused"),
+        ([Concept("a person walks"), Concept("a person waves", -1.0)], "fused"),
+        (["a person waves"], "fused"),
+    ],
+)
+def test_hands_of_their_own_are_composed_by_parts_without_being_told(
+    toy: MotionPipeline, concepts: list[Any], method: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert choose_method(toy, concepts, {"text": None})[0] == method
+    assert choose_method(toy, concepts, {"text": None, "agd": (0.1, 0.1)})[0] == "fused"
+    # Every concept gets a part, or the arms of a network that knows nothing would decide.
+    choices = {LEGS: 0, TRUNK: 0, "left arm": 1, "right arm": len(concepts) - 1}
+    monkeypatch.setattr(part_composition, "choose_parts", lambda motions: choices)
+    made = toy.compose(concepts, **HOW)
+    np.testing.assert_array_equal(made.joints, toy.compose(concepts, method=method, **HOW).joints)
+    assert made.seed == HOW["seed"]
+
+
+def test_who_gets_no_part_is_composed_with_the_others_in_one_run(
+    toy: MotionPipeline, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(part_composition, "choose_parts", lambda motions: dict.fromkeys((LEGS, TRUNK, *ARMS), 0))
+    assert any("left out" in note for note in toy.compose([WALK, WAVE], method="parts", **HOW).notes)
+    made = toy.compose([WALK, WAVE], **HOW)
+    assert made.notes == () and made.seed == HOW["seed"]
+    np.testing.assert_array_equal(made.joints, toy.compose([WALK, WAVE], method="fused", **HOW).joints)
+    free = toy.compose([WALK, WAVE], seconds=2)  # of one seed all the way
+    np.testing.assert_array_equal(free.joints, toy.compose([WALK, WAVE], seconds=2, seed=free.seed).joints)
+
+
 def test_three_concepts_are_told_of_parts(toy: MotionPipeline) -> None:
     assert MANY_AT_ONCE not in toy.generate("a person walks and claps while nodding", **HOW).notes
     concepts = [WALK, WAVE, "a person nods"]
-    assert MANY_AT_ONCE in toy.compose(concepts, **HOW).notes
-    assert MANY_AT_ONCE not in toy.compose(concepts[:2], **HOW).notes
+    assert MANY_AT_ONCE in toy.compose(concepts, method="fused", **HOW).notes
+    assert MANY_AT_ONCE not in toy.compose(concepts[:2], method="fused", **HOW).notes
     assert MANY_AT_ONCE not in toy.compose(concepts, method="parts", **HOW).notes
 
 

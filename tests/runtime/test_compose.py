@@ -87,7 +87,7 @@ def test_fusion_with_all_in_the_latent_share_is_latent_with_negations_too(toy: M
 
 
 def test_no_step_size_is_without_adaptive_gradient_descent(toy: MotionPipeline) -> None:
-    plain = toy.compose([WALK, WAVE], **FEW).joints
+    plain = toy.compose([WALK, WAVE], method="fused", **FEW).joints
     np.testing.assert_array_equal(toy.compose([WALK, WAVE], agd=(0.0, 0.0), **FEW).joints, plain)
 
 

@@ -227,7 +227,7 @@ def test_features_of_a_part_are_those_that_its_joints_change(toy: MotionPipeline
 
 
 def test_in_latent_space_what_coincides_is_composed(toy: MotionPipeline) -> None:
-    composed = toy.compose([WALKS, WAVES], seconds=2.2, seed=4)
+    composed = toy.compose([WALKS, WAVES], method="fused", seconds=2.2, seed=4)
     timeline = toy.timeline([Interval(WALKS, 0, 2.2), Interval(WAVES, 0, 2.2)], seed=4)
     np.testing.assert_array_equal(timeline.joints, composed.joints)
     negating = ["a person walks without waving", "a person nods"]  # what one negates must not happen in the other

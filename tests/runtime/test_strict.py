@@ -10,6 +10,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from kinegraph import Concept, MotionPipeline, UnknownWordsError, cli
@@ -272,3 +273,24 @@ def test_the_help_of_generate_lists_what_the_default_bundle_knows(capsys: pytest
     assert f"knows {len(actions)} actions" in shown
     assert f" {', '.join(actions[:SHOWN_ACTIONS])}" in shown
     assert f" {', '.join(styles)}" in shown
+
+
+@pytest.mark.parametrize(
+    ("written", "read", "told"),
+    [
+        ("a person rusn", "a person runs", ("'rusn' is read as 'runs'",)),
+        ("a person wlaks forward", "a person walks forward", ("'wlaks' is read as 'walks'",)),
+        ("a person tunrs lefft", "a person turns left", ("'tunrs' is read as 'turns'", "'lefft' is read as 'left'")),
+        ("a person walks forward", "a person walks forward", ()),
+        ("a person walks with Kate", "a person walks with Kate", ()),  # a name is no slip
+    ],
+)
+def test_a_slip_of_spelling_is_made_as_it_is_read_and_told(
+    pipe: MotionPipeline, written: str, read: str, told: tuple[str, ...]
+) -> None:
+    clip = pipe.generate(written, **FEW)
+    assert [note for note in clip.notes if "is read as" in note] == list(told) and clip.text == written
+    np.testing.assert_array_equal(clip.joints, pipe.generate(read, **FEW).joints)
+    composed = pipe.compose([written, "a person bows"], **FEW)
+    assert [note for note in composed.notes if "is read as" in note] == list(told)
+    np.testing.assert_array_equal(composed.joints, pipe.compose([read, "a person bows"], **FEW).joints)

@@ -50,7 +50,7 @@ export function python(wish, output, file, character = null) {
   if (wish.concepts) {
     const concepts = wish.concepts.map(({ text, weight = 1 }) => `Concept(${literal(text)}${weight === 1 ? "" : `, ${weight}`})`);
     const mixing = [];
-    if (wish.method && wish.method !== "fused") mixing.push(`method=${literal(wish.method)}`);
+    if (wish.method && wish.method !== "auto") mixing.push(`method=${literal(wish.method)}`);
     if (wish.text) mixing.push(`text=${literal(wish.text)}`);
     mixing.push(...["lambdas", "agd"].filter((name) => wish[name]).map((name) => `${name}=${typed(wish[name])}`));
     made = called("pipe.compose", [`[${concepts.join(", ")}]`, ...mixing, ...options]);
@@ -104,7 +104,7 @@ export function command(wish, output, file, character = null) {
       const size = Math.abs(weight);
       words.push(weight < 0 ? "--not" : "--and", size === 1 && !text.includes(":") ? text : `${text}:${size}`);
     }
-    if (wish.method && wish.method !== "fused") words.push("--method", wish.method);
+    if (wish.method && wish.method !== "auto") words.push("--method", wish.method);
     for (const name of ["text", "lambdas", "agd"]) if (wish[name]) words.push(`--${name}`, String(wish[name]));
   } else if (wish.texts) {
     if (wish.texts.some((text) => typeof text !== "string")) return "# a sequence with edited graphs: use Python\n";

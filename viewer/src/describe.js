@@ -29,7 +29,7 @@ export function named(clip, { graph, concepts, method, lambdas, agd }) {
   const parts = concepts ?? (graph ? nodesOf(graph) : []);
   const weighed = parts.filter(({ weight }) => weight !== 1);
   const said = weighed.map(({ text, weight }) => (weight < 0 ? `not ${text} ×${-weight}` : `${text} ×${weight}`));
-  if (concepts && method !== "fused") said.push(method);
+  if (concepts && method && method !== "auto") said.push(method);
   if (lambdas) said.push(`shares ${lambdas}`);
   if (agd) said.push(`AGD ${agd}`);
   return [clip.text, ...said, `seed ${clip.seed}`].join(", ");

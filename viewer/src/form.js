@@ -65,7 +65,7 @@ export function createForm(side, play, on) {
       field.mode.value = project.concepts ? "concepts" : "sentence";
       if (project.concepts) {
         concepts.set(project.concepts.concepts);
-        field.method.value = project.concepts.method ?? "fused";
+        field.method.value = project.concepts.method ?? "auto";
         mixing.set(project.concepts);
       }
       if (segment.text || !project.concepts) field.text.value = segment.text;

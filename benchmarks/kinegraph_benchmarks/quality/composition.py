@@ -42,8 +42,9 @@ METHODS: Final[Mapping[str, Mapping[str, Any]]] = {
     "latent": {"method": "latent"},
     "semantic": {"method": "semantic"},
     "0.1/0.7/0.2": {"method": "fused", "lambdas": PAPER_LAMBDAS},
-    "default": {},
+    "fused": {"method": "fused"},
     "parts": {"method": "parts"},
+    "default": {},
 }
 """Options of `compose` by the name of a row."""
 SENTENCE: Final = "one sentence"
@@ -66,7 +67,7 @@ WEIGHTS: Final = (0.1, 0.25, 0.5, 1.0, 1.5, 2.0)
 MONOTONE: Final = 0.9
 MOVED: Final = 3.0
 GOAL_CURVES: Final = 6
-CURVE_METHODS: Final = ("latent", "semantic", "default")
+CURVE_METHODS: Final = ("latent", "semantic", "fused")
 
 
 @dataclass(frozen=True)

@@ -81,7 +81,12 @@ def add_compose(parser: argparse.ArgumentParser) -> None:
         metavar="TEXT[:WEIGHT]",
         help="a motion that should not happen; default weight 1",
     )
-    parser.add_argument("--method", default="fused", help="latent, semantic, fused (default) or parts")
+    parser.add_argument(
+        "--method",
+        default="auto",
+        help="latent, semantic, fused, parts or auto (default): parts where nothing is weighed and all --and but one "
+        "are for hands and arms, each for its own; else fused",
+    )
     parser.add_argument("--text", help="the joint sentence of fused; default: all --and joined with 'while'")
     parser.add_argument(
         "--lambdas", type=_floats, metavar="L,S,M", help="shares of latent, semantic and joint text in fused"

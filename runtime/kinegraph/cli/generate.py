@@ -83,6 +83,8 @@ def compose(args: argparse.Namespace) -> int:
             raise InvalidInputError("--energy draws latent space; leave out --space, or the picture")
         _check_picture_target(args.energy, targets, args.force)
     concepts = parse_concepts(args.positive, args.negated)
+    # an energy is of concepts in one run
+    method = "fused" if args.energy is not None and args.method == "auto" else args.method
     constraints = parse_constraints(args)
     sampling = SamplingOptions.from_args(args)
 
@@ -90,7 +92,7 @@ def compose(args: argparse.Namespace) -> int:
         def make_clip(seed: int | None, on_step: OnStep | None) -> Clip:
             return pipeline.compose(
                 concepts,
-                method=args.method,
+                method=method,
                 text=args.text,
                 lambdas=args.lambdas,
                 agd=args.agd,
@@ -111,7 +113,7 @@ def compose(args: argparse.Namespace) -> int:
             maps = energy_maps(
                 pipeline,
                 concepts,
-                method=args.method,
+                method=method,
                 text=args.text,
                 lambdas=args.lambdas,
                 agd=args.agd,

@@ -60,7 +60,7 @@ class ClipRequest:
     """Concepts to compose; None for one sentence."""
     texts: tuple[str | SemanticGraph, ...] | None = None
     """Sentences or graphs of a sequence; None for another clip."""
-    method: str = "fused"
+    method: str = "auto"
     lambdas: tuple[float, float, float] | None = None
     agd: tuple[float, float] | None = None
     seconds: Any = None
@@ -208,7 +208,7 @@ def parse_clip_request(record: Mapping[str, Any], *, drafts: bool = False) -> Cl
         text=text,
         concepts=concepts,
         texts=texts,
-        method=record.get("method", "fused"),
+        method=record.get("method", "auto"),
         lambdas=_numbers(record, "lambdas", float),
         agd=_numbers(record, "agd", float),
         seconds=_numbers(record, "seconds", float) if texts else _number(record, "seconds", float),

@@ -34,7 +34,7 @@ _PROPERTIES: Final[dict[str, dict[str, Any]]] = {
     "steps": {"type": ["integer", "array"], "description": "diffusion steps, one number or one for each level"},
     "guidance": {"type": ["number", "array"], "description": "guidance scale, one number or one for each level"},
     "foot_fix": {"type": "boolean", "default": True, "description": "hold standing feet"},
-    "method": {"enum": ["fused", "latent", "semantic", "parts"], "description": "for concepts"},
+    "method": {"enum": ["auto", "fused", "latent", "semantic", "parts"], "description": "for concepts"},
     "lambdas": {"type": "array", "items": _NUMBER, "description": "shares of latent, semantic and joint text in fused"},
     "agd": {"type": "array", "items": _NUMBER, "description": "step sizes of adaptive gradient descent"},
     "constraints": {

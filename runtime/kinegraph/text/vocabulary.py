@@ -27,6 +27,7 @@ from kinegraph.bundle.vocabulary import ACTION_SENTENCE, STYLE_SENTENCE, Vocabul
 from kinegraph.graph import SemanticGraph
 from kinegraph.text import lexicon
 from kinegraph.text.narration import is_plural_noun, subject_of
+from kinegraph.text.normalise import correct_spelling
 from kinegraph.text.words import (
     CONTRACTION,
     FUNCTION,
@@ -106,6 +107,22 @@ def find_unknown(graph: SemanticGraph, vocabulary: Vocabulary, encoder: PhraseEn
     return _Finder(graph, vocabulary, encoder).find()
 
 
+def find_slips(graph: SemanticGraph, vocabulary: Vocabulary, encoder: PhraseEncoder) -> dict[tuple[int, int], str]:
+    """Find the words of a caption that are known ones but for a slip of spelling: span -> how they are read.
+
+    `find_unknown` takes them for known: what is encoded must be spelled so, too.
+    """
+    caption = graph.caption.replace(MASK, " " * len(MASK))
+    if all(is_shown(word.text, vocabulary) for word in split_words(caption)):
+        return {}
+    read = _Finder(graph, vocabulary, encoder).words
+    return {
+        (word.start, word.end): corrected.text
+        for word, corrected in zip(split_words(caption), read, strict=True)
+        if corrected.text != word.text
+    }
+
+
 def is_shown(word: str, vocabulary: Vocabulary) -> bool:
     """Tell whether a lower-case word is in a caption of training, in any inflection, or names no motion."""
     return not FUNCTION.isdisjoint((word, word.replace("-", ""), CONTRACTION.sub("", word))) or (
@@ -160,6 +177,11 @@ class _Finder:
         self._verbs = {action.start for action in graph.actions}
         self._clauses = split_clauses(self._words, graph)
 
+    @property
+    def words(self) -> list[Word]:
+        """The words of the caption as they are read."""
+        return self._words
+
     def find(self) -> tuple[Unknown, ...]:
         """Find all unknown spans; see `find_unknown`."""
         people = list(self._people())
@@ -200,7 +222,7 @@ class _Finder:
             return word
         if text in PERSON_PLURALS or text in STOPS or any(map(self._encoder.is_word, base_forms(text))):
             return word
-        for edit in edits_of(text):
+        for edit in (correct_spelling(text, lambda _: False), *edits_of(text)):  # as the parser reads it, if it can
             is_long = len(edit) >= _MIN_CORRECTED
             if is_long and self._is_shown(edit) and any(map(self._encoder.is_word, base_forms(edit))):
                 return replace(word, text=edit)
