@@ -30,7 +30,7 @@ from kinegraph.formats import WRITERS, check_clip_target, check_names, check_roo
 from kinegraph.formats.character import DEFAULT_FPS, Character, check_no_names, read_character
 from kinegraph.options import MAX_SEED
 from kinegraph.pipeline import MotionPipeline
-from kinegraph.validation import check_fps
+from kinegraph.validation import check_fps, short_repr
 
 COLUMNS: Final = ("text", "seconds", "seed", "name", "constraints")
 MANIFEST: Final = "manifest.jsonl"
@@ -364,11 +364,19 @@ def _row(number: int, values: dict[str, str], seed: int, folder: Path) -> BatchR
     text, seconds, own_seed, name, constraints = (values.get(column, "").strip() for column in COLUMNS)
     try:
         length = float(seconds) if seconds else None
+    except ValueError:
+        raise InvalidInputError(
+            f"row {number}: seconds is {short_repr(seconds)}; write a number, or leave it empty"
+        ) from None
+    try:
         chosen = int(own_seed) if own_seed else seed + number - 1
-    except ValueError as error:
-        raise InvalidInputError(f"row {number}: {error}") from error
+    except ValueError:
+        chosen = -1
     if not 0 <= chosen < MAX_SEED:
-        raise InvalidInputError(f"row {number}: seed must be a whole number from 0 to 2**63 - 1")
+        raise InvalidInputError(
+            f"row {number}: seed is {short_repr(own_seed or chosen)}; write a whole number from 0 to 2**63 - 1, or "
+            "leave it empty"
+        )
     if not name:
         slug = "-".join(re.findall(r"[a-z0-9]+", text.lower()))[:40].strip("-")
         name = f"{number:06}" + (f"_{slug}" if slug else "")

@@ -167,3 +167,24 @@ def test_a_damaged_bundle(capsys: pytest.CaptureFixture[str], bundle: Path, verb
         (bundle / "manifest.json").unlink()
     folder = bundle.parent / "elsewhere" if damage == "no folder" else bundle
     assert expected in fails(capsys, verb, "--bundle", str(folder))
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        (["generate", "a person walks", "-o", "x.npz", "--secnds", "4"], "--secnds 4; did you mean --seconds?"),
+        (["generate", "a", "person", "walks", "-o", "x.npz"], "person walks; a sentence goes into quotes"),
+        (["generate", "a person walks", "-o", "x.npz", "--sec", "4"], "did you mean --seconds?"),  # no abbreviations
+        (["generate", "a person walks", "-o", "x.npz", "--seed", "abc"], "invalid int value: 'abc'"),
+        (["edit"], "the following arguments are required"),
+    ],
+)
+def test_wrong_arguments_are_told_in_one_line(
+    words: list[str], told: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(SystemExit) as stopped:
+        cli.main(words)
+    error = capsys.readouterr().err
+    assert stopped.value.code == 2 and error.count("\n") == 1 and told in error
+    assert f"`kinegraph {words[0]} --help` lists what it takes" in error and not list(tmp_path.iterdir())

@@ -215,6 +215,15 @@ def test_a_number_after_a_colon_is_a_weight(text: str, expected: tuple[str, floa
     assert split_weight(text) == expected
 
 
+@pytest.mark.parametrize("text", ["a person walks:2x", "a person runs:fast", "walks:1:"])
+def test_what_stands_behind_a_colon_must_be_a_weight(text: str) -> None:
+    if text.endswith(":"):  # a sentence may end so
+        assert split_weight(text) == (text, None)
+        return
+    with pytest.raises(InvalidInputError, match=r"is no weight; write one as in 'a person walks:0\.8'"):
+        split_weight(text)
+
+
 @pytest.mark.parametrize("text", ["a person walks=0.3", "a person walks = 0.3", "a person walks*0.3"])
 def test_a_weight_behind_another_sign_is_refused(text: str) -> None:
     with pytest.raises(InvalidInputError, match=r"write the weight as a person walks:0\.3"):

@@ -52,9 +52,10 @@ def test_a_table_has_seeds_and_names_for_every_row(tmp_path: Path) -> None:
         ("text,text\nx,y", "must be text"),
         ("text,colour\nx,y", "must be text"),
         ("text\n", "has 0 rows"),
-        ("text,seconds\nx,long\n", "row 1: could not convert"),
-        ("text,seed\nx,-1\n", "row 1: seed must be"),
-        ("text,seed\nx,99999999999999999999\n", "row 1: seed must be"),
+        ("text,seconds\nx,long\n", "row 1: seconds is 'long'; write a number"),
+        ("text,seed\nx,abc\n", "row 1: seed is 'abc'; write a whole number"),
+        ("text,seed\nx,-1\n", "row 1: seed is"),
+        ("text,seed\nx,99999999999999999999\n", "row 1: seed is"),
         ("text,name\nx,../y\n", "is no name for a file"),
         ("text,name\nx,manifest\n", "is no name for a file"),
         ("text,name\nx,A\ny,a\n", "rows 1 and 2 have the same name"),
@@ -72,6 +73,10 @@ def test_bad_tables_are_refused_before_anything_is_made(
     assert not (tmp_path / "out").exists()
 
 
+TOLD = {"unknown": 0, "notes": 0}
+"""Of clips with unknown words, and with notes."""
+
+
 def test_rows_are_made_failures_are_told_and_a_second_run_goes_on(
     tmp_path: Path, toy: MotionPipeline, toy_bundle: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -79,7 +84,7 @@ def test_rows_are_made_failures_are_told_and_a_second_run_goes_on(
     words = ["batch", str(table(tmp_path)), "-o", str(out), "--bundle", str(toy_bundle), "--workers", "1", "--json"]
     assert main(words) == 2
     captured = capsys.readouterr()
-    assert json.loads(captured.out) == {"folder": str(out), "made": 3, "failed": 1, "kept": 0}
+    assert json.loads(captured.out) == {"folder": str(out), "made": 3, "failed": 1, "kept": 0, **TOLD}
     assert "1 of 4 rows failed" in captured.err
     records = {record["name"]: record for record in lines(out)}
     assert records["broken"]["kind"] == "InvalidInputError" and "file" not in records["broken"]
@@ -95,7 +100,7 @@ def test_rows_are_made_failures_are_told_and_a_second_run_goes_on(
     stamp = (out / "bow.npz").stat().st_mtime_ns
     table(tmp_path, TABLE.replace(",2,,broken", "a person bows,2,,broken").replace("walks,2,,", "jumps,2,1,"))
     assert main(words) == 0
-    assert json.loads(capsys.readouterr().out) == {"folder": str(out), "made": 3, "failed": 0, "kept": 1}
+    assert json.loads(capsys.readouterr().out) == {"folder": str(out), "made": 3, "failed": 0, "kept": 1, **TOLD}
     assert (out / "bow.npz").stat().st_mtime_ns == stamp
     assert (out / "000001_a-person-jumps.npz").is_file() and (out / "broken.npz").is_file()
     assert main(words) == 0
@@ -167,7 +172,7 @@ def test_clips_go_on_a_character_and_options_are_checked_first(
         (["--format", ".npz", "--root"], "a root joint is for"),
         (["--fps", "0"], "fps must be"),
         (["--workers", "0"], "workers must be"),
-        (["--seed", "-1"], "seed must be"),
+        (["--seed", "-1"], "seed is -1"),
     ):
         assert problem in fails(capsys, *words[:6], *options)
     assert "cannot be made" in fails(capsys, *words[:3], str(tmp_path / "no" / "where"))

@@ -6,11 +6,12 @@ Exit codes: 0 success; 2 invalid input, bundle or target (one line on stderr say
 from __future__ import annotations
 
 import argparse
+import difflib
 import io
 import os
 import sys
 from collections.abc import Callable, Sequence
-from typing import Final
+from typing import Final, NoReturn
 
 from kinegraph import __version__
 from kinegraph.cli.arguments import (
@@ -75,7 +76,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     Args:
         argv: arguments after the name of the program; None takes those of the process.
     """
-    args = _parser().parse_args(argv)
+    args, unread = _parser().parse_known_args(argv)
+    if unread:
+        args.command.refuse(unread)
     if isinstance(sys.stdout, io.TextIOWrapper):
         # A terminal without Unicode shows an escape instead of ending the program.
         sys.stdout.reconfigure(errors="backslashreplace")
@@ -98,14 +101,34 @@ def main(argv: Sequence[str] | None = None) -> int:
     return code
 
 
+class _OneLineParser(argparse.ArgumentParser):
+    """Parser that tells what is wrong in one line, without the whole usage."""
+
+    def error(self, message: str) -> NoReturn:
+        self.exit(EXIT_ERROR, f"{self.prog}: error: {one_line(message)}; `{self.prog} --help` lists what it takes\n")
+
+    def refuse(self, unread: Sequence[str]) -> NoReturn:
+        """Refuse words that no argument takes, and say what may have been meant."""
+        options = [option for action in self._actions for option in action.option_strings]
+        first = next((word for word in unread if word.startswith("-")), unread[0])
+        name = first.partition("=")[0]
+        near = [option for option in options if option.startswith(name)] or difflib.get_close_matches(name, options, 1)
+        meant = (
+            f"; did you mean {near[0]}?" if near else "" if first.startswith("-") else "; a sentence goes into quotes"
+        )
+        self.error(f"unrecognized arguments: {' '.join(unread)}{meant}")
+
+
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
-        prog="kinegraph", description="A sentence in, a clip of human motion out, on a plain CPU."
+    parser = _OneLineParser(
+        prog="kinegraph",
+        description="A sentence in, a clip of human motion out, on a plain CPU.",
+        allow_abbrev=False,
     )
     parser.add_argument("--version", action="version", version=f"kinegraph {__version__}")
     commands = parser.add_subparsers(title="commands", required=True, metavar="COMMAND")
     for name, description, add_arguments, run in COMMANDS:
-        command = commands.add_parser(name, help=description)
+        command = commands.add_parser(name, help=description, allow_abbrev=False)
         add_arguments(command)
-        command.set_defaults(run=run)
+        command.set_defaults(run=run, command=command)
     return parser

@@ -35,10 +35,12 @@ def batch(args: argparse.Namespace) -> int:
     options.check()
     total, start, shown = len(unfinished(rows, args.output, options)), time.perf_counter(), 0.0
     visible = (args.progress or sys.stderr.isatty()) and not args.quiet
-    made = failed = 0
+    made = failed = unknown = noted = 0
     for record in make_batch(rows, args.output, options, workers=args.workers):
         failed += "error" in record
         made += "error" not in record
+        unknown += bool(record.get("unknown"))
+        noted += bool(record.get("notes"))
         now = time.perf_counter()
         if visible and (now - shown > _LINE_EVERY or made + failed == total):
             rate = (made + failed) / (now - start)
@@ -47,10 +49,14 @@ def batch(args: argparse.Namespace) -> int:
             print(line, end="\n" if made + failed == total else "", file=sys.stderr, flush=True)
             shown = now
     summary = {"folder": str(args.output), "made": made, "failed": failed, "kept": len(rows) - total}
+    summary |= {"unknown": unknown, "notes": noted}
     if args.json:
         print(as_json(summary))
     elif not args.quiet:
         print(f"{args.output}: {made} clips made, {len(rows) - total} there already, {failed} failed")
+    if unknown or noted:
+        told = f"{unknown} of {made} clips have words that are not known, {noted} have notes"
+        print(f"kinegraph: {told}; {args.output / MANIFEST} says which", file=sys.stderr)
     if failed:
         print(f"kinegraph: {failed} of {len(rows)} rows failed; {args.output / MANIFEST} says why", file=sys.stderr)
     return 2 if failed else 0

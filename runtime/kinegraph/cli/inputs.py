@@ -46,7 +46,8 @@ def split_weight(text: str) -> tuple[str, float | None]:
     """Split `a person walks:0.8` into sentence and weight; the weight is None without a number at the end.
 
     Raises:
-        InvalidInputError: the number is behind another sign, as in "a person walks=0.8".
+        InvalidInputError: the number is behind another sign, as in "a person walks=0.8", or what stands behind the
+            colon is no number, as in "a person walks:2x".
     """
     if (wrong := re.search(r"\s*[=*@]\s*([-+]?\d+(?:\.\d+)?)\s*$", text)) is not None:
         raise InvalidInputError(f"{short_repr(text)}: write the weight as {text[: wrong.start()]}:{wrong[1]}")
@@ -54,7 +55,12 @@ def split_weight(text: str) -> tuple[str, float | None]:
     try:
         return (sentence, float(number)) if colon else (text, None)
     except ValueError:
-        return text, None
+        if not number.strip() or number[0].isspace():  # a colon of the sentence
+            return text, None
+        raise InvalidInputError(
+            f"{short_repr(text)}: {short_repr(number)} is no weight; write one as in 'a person walks:0.8', or a space "
+            "behind a colon of the sentence"
+        ) from None
 
 
 def parse_concepts(positive: Sequence[str], negated: Sequence[str]) -> list[Concept]:
