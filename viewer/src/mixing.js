@@ -26,6 +26,7 @@ export function shared(shares, which, value) {
 export function createMixing(box, facts, method, onchange) {
   const [fused, rows, adapt] = [".fused", ".shares", ".adapt"].map((name) => box.querySelector(name));
   const [joint, agd, ...sizes] = ["joint", "agd", "gamma_attn", "gamma_reg"].map((name) => box.querySelector(`[name=${name}]`));
+  const mayFuse = () => ["auto", "fused"].includes(method()); // who sets shares is not made by parts
   let shares = facts.lambdas; // as they are drawn
   let settled = shares; // as they were before the slider that moves was touched
 
@@ -50,7 +51,7 @@ export function createMixing(box, facts, method, onchange) {
   }
 
   function look() {
-    fused.hidden = method() !== "fused";
+    fused.hidden = !mayFuse();
     box.querySelector(".sizes").hidden = !agd.checked;
   }
 
@@ -67,7 +68,7 @@ export function createMixing(box, facts, method, onchange) {
     /** What differs from the bundle's own. */
     get() {
       const asked = {};
-      if (method() === "fused") {
+      if (mayFuse()) {
         if (joint.value.trim()) asked.text = joint.value.trim();
         if (shares.some((share, at) => share !== facts.lambdas[at])) asked.lambdas = shares.join();
       }
