@@ -611,7 +611,7 @@ class MotionPipeline:
             )
             if made is not None:
                 return replace(made, unknown=unknown)
-            method, seed = "fused", options.seed  # one does more than another with all that is that one's
+            method, seed = "fused", options.seed  # a concept has no part of its own: all in one run
         spec = validate_composition(concepts, method, text, lambdas, agd)
         options = resolve_options(
             self.manifest, seconds=seconds, seed=seed, steps=steps, guidance=guidance, foot_fix=foot_fix, space=space

@@ -80,10 +80,30 @@ _JOINING: Final = frozenset(
 _DISTANCE: Final = re.compile(
     r"\b(?:\d+(?:[.,]\d+)? ?(?:m|ft|feet|foot|km)"
     r"|(?:\d+(?:[.,]\d+)?|an?|one|two|three|four|five|six|seven|eight|nine|ten)"
-    r" (?:(?:kilo)?met(?:er|re)s?|yards?|miles?))\b(?! ?(?:long|wide|high|tall|away|apart|behind))",
+    r" (?:(?:kilo)?met(?:er|re)s?|yards?|miles?))\b"
+    r"(?! ?(?:long|wide|high|tall|away|apart|behind|/|per\b|an? (?:sec|hou)))",
     re.IGNORECASE,
 )
 """How far somebody goes."""
+_SPEED: Final = re.compile(
+    r"\b\d+(?:[.,]\d+)? ?(?:(?:k?m|met(?:er|re)s?|miles?|feet) ?(?:/|per |an? )(?:s|h|second|hour)|km/?h|mph)\b",
+    re.IGNORECASE,
+)
+_PLACE: Final = re.compile(r"\(\s*-?\d+(?:\.\d+)?\s*,\s*-?\d+(?:\.\d+)?\s*(?:,\s*-?\d+(?:\.\d+)?\s*)?\)")
+_FACE: Final = re.compile(r"\b(?:smil|frown|grin|wink|blink)(?:s|e|es|ing|ning|ed)?\b", re.IGNORECASE)
+_STAIRS: Final = re.compile(
+    r"\b(?:up|down|climb\w*)(?: up| down)? (?:a |the |some )?(?:stairs?|staircase|ladder|steps)\b", re.IGNORECASE
+)
+_WIDE_TURN: Final = re.compile(r"\b(?:7[2-9][1-9]|7[3-9]\d|[89]\d\d|\d{4,}) ?(?:degrees?\b|°)", re.IGNORECASE)
+_NOT_HELD: Final = (
+    (_DISTANCE, "how far somebody goes is not held; give a `Path`, or the seconds that it takes"),
+    (_SPEED, "how fast somebody goes is not held; say slowly or fast"),
+    (_PLACE, "places in words are not held; give a `Waypoint`"),
+    (_FACE, "a clip has no face"),
+    (_STAIRS, "a clip has no stairs: the feet go as if there were some, and leave the floor"),
+    (_WIDE_TURN, "turns of more than 720 degrees are not held"),
+)
+"""What of a sentence the body does not show, and what to do instead."""
 _HAND: Final = re.compile(r"\b(left|right) (?:hand|arm|fist|wrist|elbow|forearm)\b", re.IGNORECASE)
 _GESTURE: Final = re.compile(r"(?:wav|clap|point|salut|beckon|applaud)\w*", re.IGNORECASE)
 """Verbs of hands and arms."""
@@ -155,10 +175,7 @@ def interpret(
         notes += [] if note is None or (seconds is not None and quantity.unit != "times") else [note]
         if length is not None:
             _note_length(lengths, quantity, length)
-    notes += [
-        f"{found.group()!r}: how far somebody goes is not held; give a `Path`, or the seconds that it takes"
-        for found in _DISTANCE.finditer(graph.caption)
-    ]
+    notes += [f"{found.group()!r}: {told}" for pattern, told in _NOT_HELD for found in pattern.finditer(graph.caption)]
     notes += _parts_left_out(graph)
     for quantity in reversed(quantities):
         if quantity.unit != "steps":  # captions of training name steps
@@ -335,8 +352,8 @@ def _spoken_seconds(quantity: Quantity, manifest: Manifest) -> tuple[float | Non
     if shortest <= wanted <= longest:
         return wanted, None
     made = min(max(wanted, shortest), longest)
-    how = "`sequence` makes longer clips" if wanted > longest else "loop or cut it"
-    return made, f"{quantity.text!r}: a clip has {shortest:g} to {longest:g} seconds, this one {made:g}; {how}"
+    how = "`sequence` makes longer clips of several sentences" if wanted > longest else "loop or cut it"
+    return made, f"{quantity.text!r}: a sentence has {shortest:g} to {longest:g} seconds, this one {made:g}; {how}"
 
 
 def _as_trained(graph: SemanticGraph, vocabulary: Vocabulary | None) -> SemanticGraph:

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import psutil
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
 from kinegraph import Clip, Concept, JointTarget, KinegraphError, MotionPipeline, SemanticGraph, cli
@@ -181,6 +181,7 @@ def test_any_file_of_constraints_is_read_or_refused(is_long: bool) -> None:
 
     @settings(max_examples=10_000 if is_long else 300, deadline=None, database=None)
     @given(st.lists(ENTRIES, max_size=4))
+    @example([{"type": "waypoint", "position": [0.0, 1.0], "seconds": 1.0}])  # few drawn ones are right
     def check(entries: list[dict[str, Any]]) -> None:
         data = json.dumps(entries).encode()
         with suppress(InvalidInputError):

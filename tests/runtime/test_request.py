@@ -250,6 +250,8 @@ def test_what_people_type_is_told_as_captions_are(
         ("a person hops on two feet", None),
         ("a person walks for 5 minutes", None),
         ("a person looks at something 3 meters away", None),
+        ("a person walks at 3 m/s", None),
+        ("a person runs 2 meters per second", None),
     ],
 )
 def test_distances_are_told_not_to_be_held(
@@ -257,6 +259,28 @@ def test_distances_are_told_not_to_be_held(
 ) -> None:
     told = [note for note in interpret(toy.parse(sentence), manifest).notes if "how far somebody goes" in note]
     assert [note.split(":")[0] for note in told] == ([] if distance is None else [repr(distance)])
+
+
+@pytest.mark.parametrize(
+    ("sentence", "told"),
+    [
+        ("a person walks at 3 m/s", ["'3 m/s': how fast"]),
+        ("a person runs at 12 km/h", ["'12 km/h': how fast"]),
+        ("a person walks to (1, -2.5)", ["'(1, -2.5)': places in words"]),
+        ("a person walks while smiling", ["'smiling': a clip has no face"]),
+        ("a person walks up the stairs", ["'up the stairs': a clip has no stairs"]),
+        ("a person climbs a ladder", ["'climbs a ladder': a clip has no stairs"]),
+        ("a person turns left by 1000 degrees", ["'1000 degrees': turns of more than 720"]),
+        ("a person turns left by 720 degrees", []),
+        ("a person takes two steps up to the line and waves", []),
+        ("a person steps up and bows", []),
+    ],
+)
+def test_what_a_body_does_not_show_is_told(
+    toy: MotionPipeline, manifest: Manifest, sentence: str, told: list[str]
+) -> None:
+    notes = interpret(toy.parse(sentence), manifest).notes
+    assert [note[: len(start)] for note, start in zip(notes, told, strict=True)] == told
 
 
 def test_parts_that_a_graph_has_no_room_for_are_told(toy: MotionPipeline, manifest: Manifest) -> None:

@@ -95,8 +95,8 @@ def test_the_page_holds_the_very_glb_and_what_was_asked_for() -> None:
     assert gzip.decompress(base64.b64decode(str(shown.pop("glb")))) == encode(own, ".glb")
     graph = whole("a person walks").to_dict()
     assert shown == {
-        "text": HOSTILE, "seed": str(2**60), "fps": 20.0, "frames": 20, "bundle": "edge 1.2", "graph": graph,
-        "unknown": [juggles.to_dict()], "notes": list(notes), "misses": [],
+        "text": HOSTILE, "seed": str(2**60), "fps": 20.0, "frames": 20, "loops": False, "bundle": "edge 1.2",
+        "graph": graph, "unknown": [juggles.to_dict()], "notes": list(notes), "misses": [],
     }  # fmt: skip
 
 
