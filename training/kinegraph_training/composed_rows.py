@@ -1,7 +1,7 @@
 """Rows of a batch that compose its samples from concepts, as compositions do at run time (EnergyMoGen, Eq. 7 and 9).
 
 A product of energies holds only where the energies were fitted to be multiplied: denoisers that saw each concept alone
-leave both actions of a pair out of half of the clips. So some samples of several actions are predicted from one caption
+leave one of two actions out of half of the clips. So some samples of several actions are predicted from one caption
 of each, and the loss is that of the composed prediction. Rows and coefficients are those of
 `kinegraph.diffusion.composition.plan_rows`, at guidance scale 1.
 
