@@ -199,11 +199,15 @@ def raises(side: str) -> Predicate:
     )
 
 
+def _wrists(side: str) -> list[str]:
+    """List the sides that "left", "right" or "both" stands for."""
+    return [wrist for wrist in SIDES if side in (wrist, "both")]
+
+
 def raises_beside(side: str) -> Predicate:
     """Make a predicate: that wrist, or both, comes above the head and does not wave, whatever else the body does."""
-    sides = [wrist for wrist in SIDES if side in (wrist, "both")]
     return lambda joints: all(
-        above_head(joints, wrist) and not hand_waves(joints, wrist, MOVING_STROKE) for wrist in sides
+        above_head(joints, wrist) and not hand_waves(joints, wrist, MOVING_STROKE) for wrist in _wrists(side)
     )
 
 
@@ -229,8 +233,7 @@ def waves(side: str) -> Predicate:
 
 def waves_beside(side: str) -> Predicate:
     """Make a predicate: that hand, or both, waves, whatever else the body does."""
-    sides = [wrist for wrist in SIDES if side in (wrist, "both")]
-    return lambda joints: all(hand_waves(joints, wrist, MOVING_STROKE) for wrist in sides)
+    return lambda joints: all(hand_waves(joints, wrist, MOVING_STROKE) for wrist in _wrists(side))
 
 
 def all_of(*predicates: Predicate) -> Predicate:

@@ -9,7 +9,7 @@ not seen.
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -178,6 +178,14 @@ def with_both_hands(labels: Sequence[str]) -> list[str]:
     return names + [f"{stem}both-hands" for stem in lefts if f"{stem}right-hand" in names]
 
 
+def draws(made: Sequence[MotionClip], count: int) -> Iterator[None]:
+    """Repeat until `count` clips are made, or `MAX_DRAWS` draws for each are over."""
+    for _ in range(MAX_DRAWS * count):
+        if len(made) == count:
+            return
+        yield
+
+
 def by_style_and_action(clips: Iterable[MotionClip]) -> dict[str, dict[str, list[MotionClip]]]:
     """Group clips by style, then by action; clips without a style are normal ones."""
     groups: dict[str, dict[str, list[MotionClip]]] = {}
@@ -230,9 +238,7 @@ def make_splices(
     )
     gestures = by_style_and_action(clip for clip in known if PHRASES[clip.action].parts in ("arm", "arms"))
     splices: list[MotionClip] = []
-    for _ in range(MAX_DRAWS * count if carriers and gestures else 0):
-        if len(splices) == count:
-            break
+    for _ in draws(splices, count if carriers and gestures else 0):
         style = draw_style(carriers, rng)
         carrier = draw_of(carriers[style], rng)
         if carrier.action not in CARRIERS and (actions == 3 or rng.random() < 0.7):
@@ -295,9 +301,7 @@ def make_sequences(
     rng = np.random.Generator(np.random.PCG64(seed))
     groups = by_style_and_action(clip for clip in clips if clip.action in PHRASES and len(clip.joints) >= 2 * BLEND)
     sequences: list[MotionClip] = []
-    for _ in range(MAX_DRAWS * count if groups else 0):
-        if len(sequences) == count:
-            break
+    for _ in draws(sequences, count if groups else 0):
         style = draw_style(groups, rng)
         first, second = (draw_of(groups[style], rng) for _ in range(2))
         if first.action == second.action or (first.action, second.action) in held_out.in_order:

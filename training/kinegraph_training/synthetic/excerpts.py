@@ -24,9 +24,9 @@ from kinegraph_training.metrics import FPS
 from kinegraph_training.synthetic.caption_grammar import LOCOMOTION, PHRASES, concept_caption, is_turn
 from kinegraph_training.synthetic.compositions import (
     BLEND,
-    MAX_DRAWS,
     MAX_POSE_GAP,
     MAX_SLIDE,
+    draws,
     goes_round,
     pose_gap,
     slide_of_join,
@@ -85,9 +85,7 @@ def make_excerpts(clips: Sequence[MotionClip], count: int, seed: int, max_frames
     rng = np.random.Generator(np.random.PCG64(seed))
     usable = [clip for clip in clips if _is_steady(clip) and len(clip.joints) >= SHORTEST]
     excerpts: list[MotionClip] = []
-    for _ in range(MAX_DRAWS * count if usable else 0):
-        if len(excerpts) == count:
-            break
+    for _ in draws(excerpts, count if usable else 0):
         clip = draw_clip(usable, rng)
         frames = round(float(np.exp(rng.uniform(np.log(SHORTEST), np.log(max_frames)))))
         joints = clip.joints
@@ -131,9 +129,7 @@ def make_padded(
     usable = [clip for clip in clips if clip.action in PHRASES and not _is_steady(clip) and len(clip.joints) < longest]
     bodies = [clip.joints for clip in standing if len(clip.joints) >= SHORTEST]
     padded: list[MotionClip] = []
-    for _ in range(MAX_DRAWS * count if usable and bodies else 0):
-        if len(padded) == count:
-            break
+    for _ in draws(padded, count if usable and bodies else 0):
         clip = draw_clip(usable, rng)
         joints, sides = clip.joints, rng.choice(3)
         for before in (True, False):

@@ -16,7 +16,7 @@ from kinegraph.motion.turning import bend
 from kinegraph_training.data.clips import MotionClip
 from kinegraph_training.metrics import FPS
 from kinegraph_training.synthetic.caption_grammar import CAPTIONS, PHRASES, concept_caption
-from kinegraph_training.synthetic.compositions import MAX_DRAWS, MAX_SLIDE, NORMAL, slide_of_join, stitch_clips
+from kinegraph_training.synthetic.compositions import MAX_SLIDE, NORMAL, draws, slide_of_join, stitch_clips
 from kinegraph_training.synthetic.excerpts import select_turning_styles
 from kinegraph_training.synthetic.gestures import draw_body
 
@@ -79,9 +79,7 @@ def make_bent(clips: Sequence[MotionClip], standing: Sequence[MotionClip], count
     straight = [clip for clip in clips if clip.action in GAITS and len(clip.joints) >= 50 and is_straight(clip.joints)]
     turning = {"", NORMAL, *(clip.style for clip in select_turning_styles(clips))}
     bent: list[MotionClip] = []
-    for _ in range(MAX_DRAWS * count if straight else 0):
-        if len(bent) == count:
-            break
+    for _ in draws(bent, count if straight else 0):
         clip = straight[int(rng.integers(len(straight)))]
         shape, side = SHAPES[int(rng.integers(len(SHAPES)))], ("left", "right")[int(rng.integers(2))]
         label = f"{GAITS[clip.action]}-{shape}"
